@@ -1,0 +1,76 @@
+"""The configuration of a run: every key, its default, its unit and why it has that value.
+
+One set of values serves all logs; only the `laser` section describes a particular sensor. The
+sections are frozen; a stage receives its own section and nothing else.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Section(BaseModel):
+    """A section of the configuration: unknown keys are faults, values cannot be changed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class MountConfig(Section):
+    """Pose of the laser on the robot, for logs that do not say it."""
+
+    x: float = Field(0.0, description="metres ahead of the robot's origin")
+    y: float = Field(0.0, description="metres to the left of the robot's origin")
+    yaw: float = Field(0.0, description="radians, counterclockwise")
+    flipped: bool = Field(False, description="mounted upside down: beams run clockwise")
+
+
+class InputConfig(Section):
+    """What to read from the log."""
+
+    scan_topic: str | None = Field(None, description="topic of the scans; found by type if null")
+    odometry_topic: str | None = Field(None, description="topic of the odometry; found if null")
+    mount: MountConfig | None = Field(None, description="overrides the mount that the log gives")
+    start: float | None = Field(None, description="seconds after the first stamp to begin at")
+    end: float | None = Field(None, description="seconds after the first stamp to end at")
+
+
+class LaserConfig(Section):
+    """The sensor's own figures; null where the log or the data themselves tell."""
+
+    range_min: float | None = Field(None, description="metres; nearer returns are dropped")
+    range_max: float | None = Field(None, description="metres; farther returns count as none")
+    sigma_range: Positive = Field(0.01, description="metres, noise of a range at any distance")
+    sigma_range_scale: NonNegative = Field(0.0, description="metres of noise per metre of range")
+    sigma_bearing: NonNegative = Field(0.0, description="radians, noise of a beam's direction")
+
+
+class SegmentationConfig(Section):
+    """Split and merge (section 4)."""
+
+    min_points: int = Field(5, ge=3, description="points that a segment needs")
+    min_length: Positive = Field(0.25, description="metres; shorter segments are dropped")
+    split_sigmas: Positive = Field(3.0, description="a run is split where it bends by more")
+    split_floor: Positive = Field(0.03, description="metres; unevenness a wall may have")
+    breakpoint_angle: Positive = Field(
+        0.17, description="radians; the steepest incidence at which a surface is still one"
+    )
+    max_range: Positive = Field(30.0, description="metres; returns beyond are not segmented")
+
+
+class Config(Section):
+    """The whole configuration of `hiermap run`."""
+
+    input: InputConfig = InputConfig()
+    laser: LaserConfig = LaserConfig()
+    segmentation: SegmentationConfig = SegmentationConfig()
+    update: Literal["relocation_fusion", "ekf"] = Field(
+        "relocation_fusion", description="how a constraint is added (section 3.3)"
+    )
+    coordinates: Literal["invariant", "additive"] = Field(
+        "invariant", description="in which coordinates the errors are Gaussian"
+    )

@@ -1,0 +1,1 @@
+"""The stochastic map V, C(V): predict, add, constrain; association; noise models."""

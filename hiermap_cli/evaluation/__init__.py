@@ -1,0 +1,1 @@
+"""How wrong a run is: trajectory, relations, map and consistency metrics."""

@@ -1,0 +1,1 @@
+"""SE(2), lines and points, with their Jacobians."""

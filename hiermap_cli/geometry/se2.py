@@ -1,0 +1,154 @@
+"""Poses of the plane: the group SE(2), its algebra and its Jacobians.
+
+A pose is an array of shape (..., 3), `[x, y, theta]` in metres and radians; the leading axes
+are batch axes. `R_a_b` is frame b seen from frame a, so that `R_a_c = compose(R_a_b, R_b_c)`
+cancels. A tangent vector is `[rho_x, rho_y, phi]`, in the same order. A Jacobian `out_D_in` is
+taken in additive coordinates unless its name says otherwise.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+IDENTITY = np.zeros(3)
+IDENTITY.flags.writeable = False
+
+
+def wrap(angle: Array) -> Array:
+    """Angles wrapped to (-pi, pi]."""
+    return np.pi - np.mod(np.pi - np.asarray(angle), 2.0 * np.pi)
+
+
+def compose(R_a_b: Array, R_b_c: Array) -> Array:
+    """The paper's f (equation 1): `R_a_c`, shape (..., 3)."""
+    R_a_b, R_b_c = np.asarray(R_a_b, dtype=float), np.asarray(R_b_c, dtype=float)
+    c, s = np.cos(R_a_b[..., 2]), np.sin(R_a_b[..., 2])
+    x, y = R_b_c[..., 0], R_b_c[..., 1]
+    return np.stack(
+        (
+            R_a_b[..., 0] + c * x - s * y,
+            R_a_b[..., 1] + s * x + c * y,
+            wrap(R_a_b[..., 2] + R_b_c[..., 2]),
+        ),
+        axis=-1,
+    )
+
+
+def invert(R_a_b: Array) -> Array:
+    """`R_b_a`, shape (..., 3)."""
+    R_a_b = np.asarray(R_a_b, dtype=float)
+    c, s = np.cos(R_a_b[..., 2]), np.sin(R_a_b[..., 2])
+    x, y = R_a_b[..., 0], R_a_b[..., 1]
+    return np.stack((-c * x - s * y, s * x - c * y, wrap(-R_a_b[..., 2])), axis=-1)
+
+
+def between(R_g_a: Array, R_g_b: Array) -> Array:
+    """`R_a_b` of two poses known in one frame: `compose(invert(R_g_a), R_g_b)`."""
+    return compose(invert(R_g_a), R_g_b)
+
+
+def rotation(theta: Array) -> Array:
+    """Rotation matrices, shape (..., 2, 2)."""
+    c, s = np.cos(theta), np.sin(theta)
+    return np.stack((np.stack((c, -s), axis=-1), np.stack((s, c), axis=-1)), axis=-2)
+
+
+def compose_D_first(R_a_b: Array, R_b_c: Array) -> Array:
+    """`J1` of section 3.1: d compose / d R_a_b, shape (..., 3, 3)."""
+    R_a_b, R_b_c = np.asarray(R_a_b, dtype=float), np.asarray(R_b_c, dtype=float)
+    c, s = np.cos(R_a_b[..., 2]), np.sin(R_a_b[..., 2])
+    x, y = R_b_c[..., 0], R_b_c[..., 1]
+    J = np.zeros((*np.broadcast_shapes(R_a_b.shape, R_b_c.shape)[:-1], 3, 3))
+    J[..., 0, 0] = J[..., 1, 1] = J[..., 2, 2] = 1.0
+    J[..., 0, 2] = -s * x - c * y
+    J[..., 1, 2] = c * x - s * y
+    return J
+
+
+def compose_D_second(R_a_b: Array, R_b_c: Array) -> Array:
+    """`J2` of section 3.1: d compose / d R_b_c, shape (..., 3, 3)."""
+    R_a_b, R_b_c = np.asarray(R_a_b, dtype=float), np.asarray(R_b_c, dtype=float)
+    J = np.zeros((*np.broadcast_shapes(R_a_b.shape, R_b_c.shape)[:-1], 3, 3))
+    J[..., :2, :2] = rotation(R_a_b[..., 2])
+    J[..., 2, 2] = 1.0
+    return J
+
+
+def invert_D_pose(R_a_b: Array) -> Array:
+    """d invert / d R_a_b, shape (..., 3, 3)."""
+    R_a_b = np.asarray(R_a_b, dtype=float)
+    c, s = np.cos(R_a_b[..., 2]), np.sin(R_a_b[..., 2])
+    x, y = R_a_b[..., 0], R_a_b[..., 1]
+    J = np.zeros((*R_a_b.shape, 3))
+    J[..., 0, 0], J[..., 0, 1], J[..., 0, 2] = -c, -s, s * x - c * y
+    J[..., 1, 0], J[..., 1, 1], J[..., 1, 2] = s, -c, c * x + s * y
+    J[..., 2, 2] = -1.0
+    return J
+
+
+def exp(tangent: Array) -> Array:
+    """The exponential map: tangent (..., 3) to pose (..., 3)."""
+    tangent = np.asarray(tangent, dtype=float)
+    rho_x, rho_y, phi = tangent[..., 0], tangent[..., 1], tangent[..., 2]
+    a = np.sinc(phi / np.pi)  # sin(phi) / phi
+    b = 0.5 * phi * np.sinc(phi / (2.0 * np.pi)) ** 2  # (1 - cos(phi)) / phi
+    return np.stack((a * rho_x - b * rho_y, b * rho_x + a * rho_y, wrap(phi)), axis=-1)
+
+
+def log(R_a_b: Array) -> Array:
+    """The logarithm: pose (..., 3) to tangent (..., 3), its angle in (-pi, pi]."""
+    R_a_b = np.asarray(R_a_b, dtype=float)
+    phi = wrap(R_a_b[..., 2])
+    half = 0.5 * phi
+    # half / tan(half) is smooth at zero; at |phi| = pi it is zero.
+    a = np.sinc(phi / np.pi) / np.sinc(half / np.pi) ** 2
+    x, y = R_a_b[..., 0], R_a_b[..., 1]
+    return np.stack((a * x + half * y, -half * x + a * y, phi), axis=-1)
+
+
+def adjoint(R_a_b: Array) -> Array:
+    """`Ad(X)`, shape (..., 3, 3), with `X exp(tau) = exp(Ad(X) tau) X`."""
+    R_a_b = np.asarray(R_a_b, dtype=float)
+    Ad = np.zeros((*R_a_b.shape, 3))
+    Ad[..., :2, :2] = rotation(R_a_b[..., 2])
+    Ad[..., 0, 2] = R_a_b[..., 1]
+    Ad[..., 1, 2] = -R_a_b[..., 0]
+    Ad[..., 2, 2] = 1.0
+    return Ad
+
+
+def additive_D_invariant(R_a_b: Array) -> Array:
+    """d (x, y, theta) / d delta at `X = exp(delta) X_hat`, shape (..., 3, 3).
+
+    Turns a covariance of the global, left-multiplied error into one of the additive error.
+    """
+    R_a_b = np.asarray(R_a_b, dtype=float)
+    J = np.zeros((*R_a_b.shape, 3))
+    J[..., 0, 0] = J[..., 1, 1] = J[..., 2, 2] = 1.0
+    J[..., 0, 2] = -R_a_b[..., 1]
+    J[..., 1, 2] = R_a_b[..., 0]
+    return J
+
+
+def invariant_D_additive(R_a_b: Array) -> Array:
+    """The inverse of `additive_D_invariant`, shape (..., 3, 3)."""
+    J = additive_D_invariant(R_a_b)
+    J[..., :2, 2] *= -1.0
+    return J
+
+
+def interpolate(R_g_a: Array, R_g_b: Array, fraction: Array) -> Array:
+    """Linear in the position, along the shortest arc in the heading; `fraction` in [0, 1]."""
+    R_g_a, R_g_b = np.asarray(R_g_a, dtype=float), np.asarray(R_g_b, dtype=float)
+    step = R_g_b - R_g_a
+    step[..., 2] = wrap(step[..., 2])
+    out = R_g_a + np.asarray(fraction)[..., None] * step
+    out[..., 2] = wrap(out[..., 2])
+    return out

@@ -1,0 +1,1 @@
+"""Readers of recorded logs, their audit, and scans joined with odometry."""

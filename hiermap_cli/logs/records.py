@@ -1,0 +1,85 @@
+"""The values that come out of a log: scans, odometry, and blocks of both joined in time.
+
+Stamps are integer nanoseconds in the log's own time. Ranges are metres; **+inf means that
+nothing was there within the laser's reach** (free space up to the limit), **nan means that the
+beam says nothing**. Readers translate every maker's convention into these two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+class LaserGeometry(NamedTuple):
+    """Angles of a scan's beams in the laser's own frame (radians) and its reach (metres)."""
+
+    angle_min: float
+    angle_increment: float
+    beams: int
+    range_min: float
+    range_max: float
+
+    def angles(self) -> NDArray[np.float64]:
+        """Beam angles, shape (beams,), in the laser's frame."""
+        return self.angle_min + self.angle_increment * np.arange(self.beams)
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Pose of the laser in the robot's frame, `R_r_s`; `flipped` is a roll of pi (mirrored)."""
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    flipped: bool = False
+
+    def pose(self) -> NDArray[np.float64]:
+        """`R_r_s` as `[x, y, theta]`."""
+        return np.array([self.x, self.y, self.yaw])
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One scan as read: `ranges` (beams,) float32, stamp of its header."""
+
+    stamp_ns: int
+    ranges: NDArray[np.float32]
+    laser: LaserGeometry
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """One odometry reading: pose of the robot in the odometry's frame, `[x, y, theta]`."""
+
+    stamp_ns: int
+    x: float
+    y: float
+    theta: float
+
+
+@dataclass(frozen=True, slots=True)
+class ScanBlock:
+    """Up to some hundred successive scans of one laser geometry, odometry interpolated to each.
+
+    stamps_ns: (B,) int64, not decreasing within the log.
+    ranges: (B, beams) float32, +inf nothing in reach, nan says nothing.
+    odometry: (B, 3) float64, the robot in the odometry's frame at each stamp; for scans before
+        the first reading it is the first reading.
+    has_odometry: (B,) bool, False where no reading brackets or precedes the stamp.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    ranges: NDArray[np.float32]
+    odometry: NDArray[np.float64]
+    has_odometry: NDArray[np.bool_]
+    laser: LaserGeometry
+    mount: Mount
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)

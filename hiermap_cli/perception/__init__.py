@@ -1,0 +1,1 @@
+"""From scans to segments to landmark observations; nothing here knows the map."""

@@ -1,0 +1,1 @@
+"""Floor plans, a simulated robot, and the log, truth and reference map it leaves."""
