@@ -1,0 +1,267 @@
+"""The stochastic map of section 3: a state vector V of robot and objects, and C(V).
+
+V = (robot R_k_r, calibration parameters, object poses R_k_i) in one frame k. The error of V is
+a vector of dimension N = 3 + m + 3 n in this order. In *invariant* coordinates a pose's error
+is `delta = log(X X_hat^-1)`, global and left-multiplied: a change of frame moves all errors
+alike, whatever the estimate, which is what keeps the filter consistent (Bailey 2006, Huang et
+al. 2010). In *additive* ones it is that of (x, y, theta), as the paper has it. All Jacobians are
+written for the invariant error; additive ones follow by `invariant_D_additive`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.estimation.gaussian import fuse, kalman_update, relocate, symmetrise
+from hiermap_cli.geometry import se2
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+Coordinates = Literal["invariant", "additive"]
+Update = Literal["relocation_fusion", "ekf"]
+
+
+@dataclass(frozen=True, slots=True)
+class StochasticMap:
+    """V and C(V). poses: (1 + n, 3), the robot first; parameters: (m,); covariance: (N, N)."""
+
+    poses: Array
+    parameters: Array
+    covariance: Array
+    coordinates: Coordinates = "invariant"
+
+    @property
+    def robot(self) -> Array:
+        """The robot's pose, (3,)."""
+        return self.poses[0]
+
+    @property
+    def objects(self) -> int:
+        """The number n of objects."""
+        return len(self.poses) - 1
+
+    @property
+    def first_object(self) -> int:
+        """Index of the first object's error in the state: 3 + m."""
+        return 3 + len(self.parameters)
+
+    def columns(self, i: int) -> slice:
+        """The components of V that belong to pose i: 0 is the robot, 1 the first object."""
+        start = 0 if i == 0 else self.first_object + 3 * (i - 1)
+        return slice(start, start + 3)
+
+    def pose_covariance(self, i: int) -> Array:
+        """Additive covariance (3, 3) of pose i."""
+        where = self.columns(i)
+        J = self.additive_D_error(self.poses[i])
+        return J @ self.covariance[where, where] @ J.T
+
+    def additive_D_error(self, pose: Array) -> Array:
+        """d (x, y, theta) / d error of a pose, in this map's coordinates, (..., 3, 3)."""
+        if self.coordinates == "invariant":
+            return se2.additive_D_invariant(pose)
+        return np.broadcast_to(np.eye(3), (*np.shape(pose), 3))
+
+    def invariant_D_error(self, pose: Array) -> Array:
+        """d delta / d error of a pose, in this map's coordinates, (..., 3, 3)."""
+        if self.coordinates == "invariant":
+            return np.broadcast_to(np.eye(3), (*np.shape(pose), 3))
+        return se2.invariant_D_additive(pose)
+
+    def additive_covariance(self) -> Array:
+        """C(V) of the robot and the objects (without the parameters), additive, as documents
+        carry it: (3 + 3 n, 3 + 3 n)."""
+        keep = np.r_[0:3, self.first_object : len(self.covariance)]
+        P = self.covariance[np.ix_(keep, keep)]
+        if self.coordinates == "additive":
+            return P
+        J = se2.additive_D_invariant(self.poses)
+        n = len(self.poses)
+        blocks = P.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
+        out = J[:, None] @ blocks @ J[None].transpose(0, 1, 3, 2)
+        return symmetrise(out.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n))
+
+
+class Motion(NamedTuple):
+    """A relative motion Delta_{i,i+1} (figure 2-a), with its noise and calibration Jacobian.
+
+    pose: (3,) the increment R_i_{i+1}. covariance: (3, 3) of its error, in the robot's frame
+    **after** the motion. by_parameters: (3, m) d error / d parameters, in the same frame.
+    """
+
+    pose: Array
+    covariance: Array
+    by_parameters: Array
+
+
+class Rows(NamedTuple):
+    """A measurement linearised in the invariant error: k rows over some poses of the map.
+
+    innovation: (k,). pose: (k,) the object measured by each row (index into `poses`).
+    H_object: (k, 3) d row / d delta of that object; the robot's is minus that, since only
+    relative poses are measured. H_parameters: (k, m).
+    """
+
+    innovation: Array
+    pose: Index
+    H_object: Array
+    H_parameters: Array
+
+
+def initial_map(
+    robot: Array,
+    C_robot: Array,
+    parameters: Array,
+    C_parameters: Array,
+    coordinates: Coordinates = "invariant",
+) -> StochasticMap:
+    """A map without objects; `C_robot` is additive, (3, 3)."""
+    m = len(parameters)
+    P = np.zeros((3 + m, 3 + m))
+    J = np.eye(3) if coordinates == "additive" else se2.invariant_D_additive(robot)
+    P[:3, :3] = J @ C_robot @ J.T
+    P[3:, 3:] = C_parameters
+    return StochasticMap(np.array(robot, dtype=float)[None], parameters, P, coordinates)
+
+
+def predict(V: StochasticMap, motion: Motion) -> StochasticMap:
+    """Equation 1: `R_k_r <- f(R_k_r, Delta)` with the cross-covariances of section 3.1.
+
+    In invariant coordinates J1 is the identity: motion moves the robot's block alone, by
+    `Ad(X_r) (J_c e_c + w)` with X_r after the motion.
+    """
+    X = se2.compose(V.robot, motion.pose)
+    poses = V.poses.copy()
+    poses[0] = X
+    P = V.covariance.copy()
+    Ad = se2.adjoint(X)
+    if V.coordinates == "additive":
+        Ad = se2.additive_D_invariant(X) @ Ad
+        J1 = se2.compose_D_first(V.robot, motion.pose)
+        P[:3] = J1 @ P[:3]
+        P[:, :3] = P[:, :3] @ J1.T
+    m = len(V.parameters)
+    if m:
+        G = Ad @ motion.by_parameters
+        P[:3] += G @ P[3 : 3 + m]
+        P[:, :3] += P[:, 3 : 3 + m] @ G.T
+    P[:3, :3] += Ad @ motion.covariance @ Ad.T
+    return replace(V, poses=poses, covariance=P)
+
+
+def add_objects(
+    V: StochasticMap, R_r_l: Array, C_tangent: Array, by_parameters: Array | None = None
+) -> StochasticMap:
+    """Equation 2: objects seen from the robot enter V, correlated with all that the robot is.
+
+    R_r_l: (k, 3). C_tangent: (k, 3, 3) noise in the tangent at R_r_l (the object's own frame).
+    by_parameters: (k, 3, m) d (error in the object's frame) / d parameters.
+    """
+    X = se2.compose(V.robot, R_r_l)
+    k, m = len(X), len(V.parameters)
+    Ad = se2.adjoint(X)
+    N = len(V.covariance)
+    A = np.zeros((3 * k, N))
+    A[:, :3] = np.tile(V.invariant_D_error(V.robot), (k, 1))
+    if by_parameters is not None:
+        A[:, 3 : 3 + m] = (Ad @ by_parameters).reshape(3 * k, m)
+    noise = Ad @ C_tangent @ Ad.transpose(0, 2, 1)
+    return _augment(V, X, A, noise)
+
+
+def _augment(V: StochasticMap, X: Array, A: Array, noise: Array) -> StochasticMap:
+    """Objects X (k, 3) with invariant errors `A e + w`: A (3 k, N), w of blocks (k, 3, 3)."""
+    k, N = len(X), len(V.covariance)
+    if V.coordinates == "additive":
+        T = se2.additive_D_invariant(X)
+        A = (T @ A.reshape(k, 3, N)).reshape(3 * k, N)
+        noise = T @ noise @ T.transpose(0, 2, 1)
+    P = np.empty((N + 3 * k, N + 3 * k))
+    P[:N, :N] = V.covariance
+    AP = A @ V.covariance
+    P[N:, :N] = AP
+    P[:N, N:] = AP.T
+    corner = AP @ A.T
+    for i in range(k):
+        corner[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += noise[i]
+    P[N:, N:] = symmetrise(corner)
+    return replace(V, poses=np.concatenate((V.poses, X)), covariance=P)
+
+
+def remove_objects(V: StochasticMap, keep: Index) -> StochasticMap:
+    """V with only the objects of the given pose indices (1 .. n), in that order."""
+    start = V.first_object
+    columns = np.concatenate(
+        (np.arange(start), (start + 3 * (np.asarray(keep)[:, None] - 1) + np.arange(3)).ravel())
+    ).astype(np.int64)
+    return replace(
+        V,
+        poses=V.poses[np.concatenate(([0], keep)).astype(np.int64)],
+        covariance=V.covariance[np.ix_(columns, columns)],
+    )
+
+
+def jacobian(V: StochasticMap, rows: Rows) -> tuple[Index, Array]:
+    """The columns of V that `rows` touch, and H over them: (c,), (k, c)."""
+    k, m = len(rows.innovation), len(V.parameters)
+    seen, slot = np.unique(rows.pose, return_inverse=True)
+    start = V.first_object
+    columns = np.concatenate(
+        (np.arange(start), (start + 3 * (seen[:, None] - 1) + np.arange(3)).ravel())
+    )
+    H = np.zeros((k, len(columns)))
+    H_o, H_r = rows.H_object, -rows.H_object
+    if V.coordinates == "additive":
+        H_o = np.einsum("ki,kij->kj", H_o, se2.invariant_D_additive(V.poses[rows.pose]))
+        H_r = H_r @ se2.invariant_D_additive(V.robot)
+    H[:, :3] = H_r
+    H[:, 3 : 3 + m] = rows.H_parameters
+    H[np.arange(k)[:, None], start + 3 * slot[:, None] + np.arange(3)] = H_o
+    return columns, H
+
+
+def corrected(V: StochasticMap, delta: Array, P: Array) -> StochasticMap:
+    """V with its means moved by `delta` (N,) and the covariance P."""
+    m = len(V.parameters)
+    steps = np.concatenate((delta[:3], delta[3 + m :])).reshape(-1, 3)
+    if V.coordinates == "invariant":
+        poses = se2.compose(se2.exp(steps), V.poses)
+    else:
+        poses = V.poses + steps
+        poses[:, 2] = se2.wrap(poses[:, 2])
+    return replace(V, poses=poses, parameters=V.parameters + delta[3 : 3 + m], covariance=P)
+
+
+def constrain(
+    V: StochasticMap,
+    measure: Callable[[StochasticMap], Rows],
+    R: Array,
+    update: Update = "relocation_fusion",
+) -> StochasticMap:
+    """Equation 3: objects seen again. `measure` linearises the measurement at a given V.
+
+    R: (k, k) noise of the rows. With `relocation_fusion` the robot is corrected first, from all
+    rows; then everything, with the rows predicted anew at the corrected robot.
+    """
+    rows = measure(V)
+    columns, H = jacobian(V, rows)
+    if update == "ekf":
+        delta, P = kalman_update(V.covariance, columns, H, R, rows.innovation)
+        return corrected(V, delta, P)
+    relocation = relocate(V.covariance, columns, H, R, rows.innovation)
+    delta = np.zeros(len(V.covariance))
+    delta[:3] = relocation.delta_r
+    V = corrected(V, delta, relocation.covariance)
+    rows = measure(V)
+    columns, H = jacobian(V, rows)
+    delta, P = fuse(relocation, columns, H, R, rows.innovation)
+    return corrected(V, delta, P)
