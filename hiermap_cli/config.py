@@ -62,12 +62,49 @@ class SegmentationConfig(Section):
     max_range: Positive = Field(30.0, description="metres; returns beyond are not segmented")
 
 
+class OdometryConfig(Section):
+    """Noise of the wheel odometry, and the priors of its constant faults."""
+
+    sigma_xy_per_sqrt_m: Positive = Field(0.03, description="metres after one metre")
+    sigma_xy_per_sqrt_rad: NonNegative = Field(0.02, description="metres after one radian")
+    sigma_theta_per_sqrt_m: Positive = Field(0.02, description="radians after one metre")
+    sigma_theta_per_sqrt_rad: Positive = Field(0.04, description="radians after one radian")
+    prior_scale: NonNegative = Field(0.05, description="relative error of distances")
+    prior_rotation_scale: NonNegative = Field(0.05, description="relative error of rotations")
+    prior_curvature: NonNegative = Field(0.05, description="rad/m, heading drift over distance")
+    prior_laser_x: NonNegative = Field(0.1, description="metres, error of the laser's x")
+
+
+class FilterConfig(Section):
+    """What becomes a measurement, and when."""
+
+    key_distance: Positive = Field(0.2, description="metres between scans that the filter uses")
+    key_angle: Positive = Field(0.2, description="radians between scans that the filter uses")
+    min_match_length: Positive = Field(0.3, description="metres; a segment that may be matched")
+    min_new_length: Positive = Field(0.4, description="metres; a segment that may found a wall")
+    wall_sigma: NonNegative = Field(0.02, description="metres; walls are not lines")
+    wall_sigma_theta: NonNegative = Field(0.01, description="radians; walls are not lines")
+    end_sigma: NonNegative = Field(0.03, description="metres; ends of walls are not points")
+
+
+class AssociationConfig(Section):
+    """Gates of the matching."""
+
+    gate: Positive = Field(0.99, lt=1, description="probability of the chi-square gates")
+    max_angle: Positive = Field(0.26, description="radians between a segment and its wall")
+    max_offset: Positive = Field(1.0, description="metres between a segment and its wall")
+    max_gap: Positive = Field(0.4, description="metres between a segment and the wall's extent")
+
+
 class Config(Section):
     """The whole configuration of `hiermap run`."""
 
     input: InputConfig = InputConfig()
     laser: LaserConfig = LaserConfig()
     segmentation: SegmentationConfig = SegmentationConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    filter: FilterConfig = FilterConfig()
+    association: AssociationConfig = AssociationConfig()
     update: Literal["relocation_fusion", "ekf"] = Field(
         "relocation_fusion", description="how a constraint is added (section 3.3)"
     )
