@@ -27,6 +27,12 @@ class InputError(HiermapError):
     exit_status = EXIT_INPUT
 
 
+class OutputError(HiermapError):
+    """The results cannot be written: the disk is full or fails. Nothing half-written is left."""
+
+    exit_status = EXIT_INPUT
+
+
 class UsageError(HiermapError):
     """Wrong usage of the program, such as an output folder that already exists."""
 
