@@ -70,7 +70,7 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
     # Heading noise gathered along the way moves the end point sideways: a third of the variance
     # at full lever arm, correlated by a half (a random walk integrated once).
     Q[1, 1] += var_t * distance**2 / 3.0
-    Q[1, 2] = Q[2, 1] = -0.5 * var_t * distance * np.sign(dx)
+    Q[1, 2] = Q[2, 1] = 0.5 * var_t * distance * np.sign(dx)
     return Motion(np.array([x, y, float(_wrap(turn))]), Q, J)
 
 

@@ -1,0 +1,104 @@
+"""Which observation belongs to which object: chi-square gates and joint compatibility.
+
+Individual pairs are gated first; then a set of pairs is accepted only if its innovations agree
+*together* (Neira and Tardos 2001): pairs that each pass alone, by errors of the robot that
+contradict each other, do not pass as a set.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+
+@lru_cache(maxsize=1024)
+def chi_square(probability: float, degrees: int) -> float:
+    """Quantile of the chi-square distribution."""
+    from scipy.special import chdtri  # noqa: PLC0415  (scipy is slow to load)
+
+    return float(chdtri(degrees, 1.0 - probability))
+
+
+class Candidates(NamedTuple):
+    """Pairs that passed their own gates, sorted by observation, best first.
+
+    observation, target: (c,). cost: (c,) what ranks them, lower is better.
+    innovation: (c, r) rows of each pair; covariance of all pairs' rows: (c r, c r).
+    """
+
+    observation: Index
+    target: Index
+    cost: Array
+    innovation: Array
+    covariance: Array
+
+
+def mahalanobis(innovation: Array, S: Array) -> float:
+    """Squared Mahalanobis distance of a vector."""
+    return float(innovation @ np.linalg.solve(S, innovation))
+
+
+def joint_compatibility(
+    candidates: Candidates, probability: float, max_nodes: int = 400
+) -> list[int]:
+    """The largest jointly compatible set of pairs, at most one a observation; of equals the
+    closest one. Returns indices into `candidates`.
+
+    The best candidate of every observation is tried first, whole: that is nearly always it.
+    Otherwise a depth-first search with at most `max_nodes` tests.
+    """
+    rows = candidates.innovation.shape[1]
+    groups: list[list[int]] = []
+    for i, o in enumerate(candidates.observation):
+        if groups and candidates.observation[groups[-1][0]] == o:
+            groups[-1].append(i)
+        else:
+            groups.append([i])
+    greedy = [g[0] for g in groups]
+    if not greedy or _distance(candidates, greedy) <= chi_square(probability, rows * len(greedy)):
+        return greedy
+    return _branch_and_bound(candidates, groups, probability, max_nodes)
+
+
+def _distance(candidates: Candidates, chosen: Sequence[int]) -> float:
+    rows = candidates.innovation.shape[1]
+    at = (np.asarray(chosen)[:, None] * rows + np.arange(rows)).ravel()
+    return mahalanobis(candidates.innovation[chosen].ravel(), candidates.covariance[np.ix_(at, at)])
+
+
+def _branch_and_bound(
+    candidates: Candidates, groups: list[list[int]], probability: float, max_nodes: int
+) -> list[int]:
+    rows = candidates.innovation.shape[1]
+    best: list[int] = []
+    best_distance = np.inf
+    nodes = 0
+    # Groups with the clearest best candidate first: the search finds a large set early.
+    order = sorted(groups, key=lambda g: float(candidates.cost[g[0]]))
+    stack: list[tuple[int, list[int], float]] = [(0, [], 0.0)]
+    while stack and nodes < max_nodes:
+        depth, chosen, distance = stack.pop()
+        if len(chosen) + len(order) - depth < len(best):
+            continue
+        if depth == len(order):
+            if len(chosen) > len(best) or (len(chosen) == len(best) and distance < best_distance):
+                best, best_distance = chosen, distance
+            continue
+        stack.append((depth + 1, chosen, distance))
+        for i in reversed(order[depth]):
+            nodes += 1
+            extended = [*chosen, i]
+            d2 = _distance(candidates, extended)
+            if d2 <= chi_square(probability, rows * len(extended)):
+                stack.append((depth + 1, extended, d2))
+    return best

@@ -1,0 +1,134 @@
+"""One step of an area's filter: match the scan's segments, correct, and add what is new."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.estimation.stochastic_map import constrain
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.area_map import (
+    END,
+    WALL,
+    AreaMap,
+    add_ends,
+    add_walls,
+    forget,
+    match_noise,
+    match_rows,
+    measuring_pose,
+)
+from hiermap_cli.mapping.matching import associate
+from hiermap_cli.perception.segments import END_OPEN
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import Config
+    from hiermap_cli.mapping.area_map import Matches
+    from hiermap_cli.perception.views import SegmentView
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+
+class Step(NamedTuple):
+    """The area after a scan, what was matched, and the normalised innovation squared."""
+
+    area: AreaMap
+    matches: Matches
+    offered: int
+    nis: float
+    degrees: int
+
+
+def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
+    """Correct the area with one scan, then let new walls and ends in."""
+    found = associate(area, view, config.association, config.filter)
+    matches = found.matches
+    nis, degrees = 0.0, 0
+    if len(matches.wall):
+        V = area.V
+        R = match_noise(V, view, matches)
+        V = constrain(V, lambda V: match_rows(V, view, matches), R, config.update)
+        area = _seen(replace(area, V=V), view, matches, key)
+        degrees = len(R)
+    known = len(area.features.uid)
+    new = (
+        ~found.near
+        & (view.length >= config.filter.min_new_length)
+    )
+    area = add_walls(area, view, np.flatnonzero(new), key)
+    area = _new_ends(area, view, matches, np.flatnonzero(new), known, key, config)
+    return Step(area, matches, found.offered, nis, degrees)
+
+
+def _seen(area: AreaMap, view: SegmentView, matches: Matches, key: int) -> AreaMap:
+    """Extents and counts after a match."""
+    f = area.features
+    lo, hi, seen, last = f.lo.copy(), f.hi.copy(), f.seen.copy(), f.last.copy()
+    x = _along(area, view, matches.segment, matches.wall)
+    np.minimum.at(lo, matches.wall, x[:, 0])
+    np.maximum.at(hi, matches.wall, x[:, 1])
+    objects = np.unique(np.concatenate((matches.wall, matches.end)))
+    seen[objects] += 1
+    last[objects] = key
+    return replace(area, features=f._replace(lo=lo, hi=hi, seen=seen, last=last))
+
+
+def _along(area: AreaMap, view: SegmentView, segments: Index, walls: Index) -> Array:
+    """Both ends of segments along the X axis of walls, (k, 2)."""
+    R_s_l = se2.between(measuring_pose(area.V), area.V.poses[1 + walls])
+    d = view.ends[segments] - R_s_l[:, None, :2]
+    c, s = np.cos(R_s_l[:, 2])[:, None], np.sin(R_s_l[:, 2])[:, None]
+    return c * d[..., 0] + s * d[..., 1]
+
+
+def _new_ends(
+    area: AreaMap,
+    view: SegmentView,
+    matches: Matches,
+    founded: Index,
+    known: int,
+    key: int,
+    config: Config,
+) -> AreaMap:
+    """Ends that no known end explains: of matched segments, and of those that found a wall."""
+    segments = np.concatenate((matches.segment, founded))
+    walls = np.concatenate((matches.wall, known + np.arange(len(founded))))
+    i, side = np.nonzero(view.end_kind[segments] != END_OPEN)
+    if not len(i):
+        return area
+    x = _along(area, view, segments, walls)[i, side]
+    f = area.features
+    uid = f.uid[walls[i]]
+    ends = np.flatnonzero(f.kind == END)
+    taken = set(zip(matches.end_segment.tolist(), matches.end_side.tolist(), strict=True))
+    fresh = np.array([(s, e) not in taken for s, e in zip(segments[i].tolist(), side.tolist(), strict=True)])
+    if len(ends):
+        # A known end of the same wall and side that is near, but did not pass its gate, forbids
+        # a second one beside it.
+        R_w_e = se2.between(area.V.poses[1 + walls[i]][:, None], area.V.poses[1 + ends][None])
+        near = (
+            (f.wall[ends][None] == uid[:, None])
+            & (f.side[ends][None] == side[:, None])
+            & (np.abs(R_w_e[..., 0] - x[:, None]) < 0.5)
+        )
+        fresh &= ~near.any(axis=1)
+    pick = np.flatnonzero(fresh)
+    sigma = view.end_sigma[segments[i], side]
+    return add_ends(area, walls[i[pick]], x[pick], sigma[pick], side[pick], key)
+
+
+def forget_unseen(area: AreaMap, key: int, patience: int, least: int) -> tuple[AreaMap, int]:
+    """Forget walls and ends that were seen fewer than `least` times and not for `patience` key
+    scans, and ends whose wall is gone. Returns how many."""
+    f = area.features
+    drop = (f.seen < least) & (key - f.last > patience) & ((f.kind == WALL) | (f.kind == END))
+    gone = f.uid[drop & (f.kind == WALL)]
+    drop |= (f.kind == END) & np.isin(f.wall, gone)
+    if not drop.any():
+        return area, 0
+    return forget(area, drop), int(drop.sum())

@@ -1,0 +1,241 @@
+"""The stochastic map of an area: the robot, and the walls and wall ends seen from it.
+
+Every object is a pose R_a_l (section 5.2). A *wall* has its X axis along the line, the free side
+on its left, and binds y and theta; its x is a convention. An *end* lies on a wall where that
+wall begins or ends, and binds x, y and theta, of which y and theta are its wall's: it is born
+with them, and only its x is measured. So each segment of a scan enters once, through its wall,
+and each end once; nothing is counted twice. Corners, doors and corridors are groups of these
+(see `landmarks`): two landmarks that share a wall are correlated through it, exactly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.estimation.motion import LASER_X, PARAMETERS
+from hiermap_cli.estimation.stochastic_map import (
+    Rows,
+    StochasticMap,
+    _augment,
+    add_objects,
+    remove_objects,
+)
+from hiermap_cli.geometry import se2
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.perception.views import SegmentView
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+WALL, END, ANCHOR = 0, 1, 2
+
+
+class Features(NamedTuple):
+    """What is kept of each object beside the state; n objects.
+
+    uid: (n,) never reused within an area. kind: WALL, END or ANCHOR. wall: (n,) uid of an end's
+    wall, else -1. side: (n,) 0 for a wall's p1 end, 1 for its p2 end. lo, hi: (n,) extent of a
+    wall along its X axis. seen: (n,) observations. last: (n,) key scan of the last one.
+    """
+
+    uid: Index
+    kind: Index
+    wall: Index
+    side: Index
+    lo: Array
+    hi: Array
+    seen: Index
+    last: Index
+
+
+EMPTY = Features(
+    *(np.zeros(0, dtype=np.int64) for _ in range(4)),
+    *(np.zeros(0) for _ in range(2)),
+    *(np.zeros(0, dtype=np.int64) for _ in range(2)),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class AreaMap:
+    """V and C(V) of one area and its features; `next_uid` is the next free uid."""
+
+    V: StochasticMap
+    features: Features
+    next_uid: int = 0
+
+
+def relative_poses(V: StochasticMap) -> Array:
+    """All objects seen from the **sensor-corrected robot**: R_s_l, (n, 3).
+
+    Segments are given with the nominal mount; the laser's x error moves them along the robot's
+    X axis, so that the robot's pose for measuring is `R_r (laser_x, 0, 0)`.
+    """
+    return se2.between(measuring_pose(V), V.poses[1:])
+
+
+def measuring_pose(V: StochasticMap) -> Array:
+    """The robot's pose moved by the estimated error of the laser's x, (3,)."""
+    if len(V.parameters) != PARAMETERS:
+        return V.robot
+    x, y, theta = V.robot
+    shift = V.parameters[LASER_X]
+    return np.array([x + np.cos(theta) * shift, y + np.sin(theta) * shift, theta])
+
+
+class Matches(NamedTuple):
+    """Segments and ends of a scan matched to objects.
+
+    segment: (a,), wall: (a,) object index of each. end_segment, end_side: (b,) which end of
+    which segment, end: (b,) its object index. Object indices count from 0.
+    """
+
+    segment: Index
+    wall: Index
+    end_segment: Index
+    end_side: Index
+    end: Index
+
+
+def match_rows(V: StochasticMap, view: SegmentView, matches: Matches) -> Rows:
+    """The innovations of matched segments (y, theta at the wall's origin) and ends (x)."""
+    objects = np.concatenate((matches.wall, matches.end))
+    R_s_l = se2.between(measuring_pose(V), V.poses[1 + objects])
+    a = len(matches.wall)
+    c, s = np.cos(R_s_l[:, 2]), np.sin(R_s_l[:, 2])
+    point = np.concatenate(
+        (view.centre[matches.segment], view.ends[matches.end_segment, matches.end_side])
+    )
+    dx, dy = point[:, 0] - R_s_l[:, 0], point[:, 1] - R_s_l[:, 1]
+    x, y = c * dx + s * dy, -s * dx + c * dy
+    dtheta = se2.wrap(view.theta[matches.segment] - R_s_l[:a, 2])
+    innovation = np.empty(2 * a + len(matches.end))
+    innovation[0 : 2 * a : 2] = y[:a] - np.tan(dtheta) * x[:a]
+    innovation[1 : 2 * a : 2] = dtheta
+    innovation[2 * a :] = x[a:]
+
+    pose = np.concatenate((np.repeat(matches.wall, 2), matches.end)) + 1
+    Ad_inverse = se2.adjoint(se2.invert(V.poses[1 + objects]))
+    H = np.empty((len(innovation), 3))
+    H[0 : 2 * a : 2] = Ad_inverse[:a, 1]
+    H[1 : 2 * a : 2] = Ad_inverse[:a, 2]
+    H[2 * a :] = Ad_inverse[a:, 0]
+    # Innovation = (where it is measured) - (where it is predicted): it grows with the robot's
+    # error and shrinks with the object's.
+    H_parameters = np.zeros((len(innovation), len(V.parameters)))
+    if len(V.parameters) == PARAMETERS:
+        H_parameters[0 : 2 * a : 2, LASER_X] = s[:a]
+        H_parameters[2 * a :, LASER_X] = -c[a:]
+    return Rows(innovation, pose, H, H_parameters)
+
+
+def match_noise(V: StochasticMap, view: SegmentView, matches: Matches) -> Array:
+    """R (k, k) of `match_rows`: a segment's line noise carried from its centre to the wall's
+    origin by the lever arm between them."""
+    R_s_l = se2.between(measuring_pose(V), V.poses[1 + matches.wall])
+    d = view.centre[matches.segment] - R_s_l[:, :2]
+    x = np.cos(R_s_l[:, 2]) * d[:, 0] + np.sin(R_s_l[:, 2]) * d[:, 1]
+    a, b = len(matches.wall), len(matches.end)
+    var_theta, var_y = view.var_theta[matches.segment], view.var_y[matches.segment]
+    R = np.zeros((2 * a + b, 2 * a + b))
+    i = 2 * np.arange(a)
+    R[i, i] = var_y + x**2 * var_theta
+    R[i, i + 1] = R[i + 1, i] = -x * var_theta
+    R[i + 1, i + 1] = var_theta
+    j = 2 * a + np.arange(b)
+    R[j, j] = view.end_sigma[matches.end_segment, matches.end_side] ** 2
+    return R
+
+
+def add_walls(area: AreaMap, view: SegmentView, segments: Index, key: int) -> AreaMap:
+    """New walls (equation 2), each with its frame at the segment's centre."""
+    if not len(segments):
+        return area
+    V = area.V
+    k = len(segments)
+    shift = V.parameters[LASER_X] if len(V.parameters) == PARAMETERS else 0.0
+    R_r_l = np.column_stack((view.centre[segments], view.theta[segments]))
+    R_r_l[:, 0] += shift
+    half = 0.5 * view.length[segments]
+    C = np.zeros((k, 3, 3))
+    C[:, 0, 0] = np.maximum(half, 0.5) ** 2
+    C[:, 1, 1], C[:, 2, 2] = view.var_y[segments], view.var_theta[segments]
+    by_parameters = np.zeros((k, 3, len(V.parameters)))
+    if len(V.parameters) == PARAMETERS:
+        theta = view.theta[segments]
+        by_parameters[:, 0, LASER_X], by_parameters[:, 1, LASER_X] = np.cos(theta), -np.sin(theta)
+    V = add_objects(V, R_r_l, C, by_parameters)
+    along = np.einsum(
+        "sei,si->se",
+        view.ends[segments] - view.centre[segments][:, None],
+        np.column_stack((np.cos(view.theta[segments]), np.sin(view.theta[segments]))),
+    )
+    new = Features(
+        uid=area.next_uid + np.arange(k),
+        kind=np.full(k, WALL),
+        wall=np.full(k, -1),
+        side=np.zeros(k, dtype=np.int64),
+        lo=along[:, 0],
+        hi=along[:, 1],
+        seen=np.ones(k, dtype=np.int64),
+        last=np.full(k, key),
+    )
+    return AreaMap(V, _joined(area.features, new), area.next_uid + k)
+
+
+def add_ends(
+    area: AreaMap, walls: Index, x: Array, sigma: Array, sides: Index, key: int
+) -> AreaMap:
+    """New ends on walls (object indices), at x (k,) along each, measured with `sigma` (k,).
+
+    An end's y and theta errors are its wall's, its x error is the robot's plus the noise of the
+    measurement: the line itself is not used a second time.
+    """
+    if not len(walls):
+        return area
+    V = area.V
+    k, N, m = len(walls), len(V.covariance), len(V.parameters)
+    X_w = V.poses[1 + walls]
+    X = se2.compose(X_w, np.column_stack((x, np.zeros(k), np.zeros(k))))
+    Ad, Ad_inverse = se2.adjoint(X), se2.adjoint(se2.invert(X))
+    of_wall, of_robot = Ad_inverse.copy(), np.zeros((k, 3, 3))
+    of_wall[:, 0] = 0.0
+    of_robot[:, 0] = Ad_inverse[:, 0]
+    A = np.zeros((k, 3, N))
+    A[:, :, :3] = Ad @ of_robot @ V.invariant_D_error(V.robot)
+    for i, w in enumerate(walls):
+        A[i, :, V.columns(int(w) + 1)] = Ad[i] @ of_wall[i] @ V.invariant_D_error(X_w[i])
+    if m == PARAMETERS:
+        A[:, :, 3 + LASER_X] = Ad[:, :, 0] * np.cos(X[:, 2] - V.robot[2])[:, None]
+    noise = Ad[:, :, :1] @ Ad[:, :, :1].transpose(0, 2, 1) * np.square(sigma)[:, None, None]
+    V = _augment(V, X, A.reshape(3 * k, N), noise)
+    new = Features(
+        uid=area.next_uid + np.arange(k),
+        kind=np.full(k, END),
+        wall=area.features.uid[walls],
+        side=sides,
+        lo=np.zeros(k),
+        hi=np.zeros(k),
+        seen=np.ones(k, dtype=np.int64),
+        last=np.full(k, key),
+    )
+    return AreaMap(V, _joined(area.features, new), area.next_uid + k)
+
+
+def forget(area: AreaMap, drop: Array) -> AreaMap:
+    """The area without the objects where `drop` (n,) is True: what is left is marginal."""
+    keep = np.flatnonzero(~drop)
+    return replace(
+        area,
+        V=remove_objects(area.V, keep + 1),
+        features=Features(*(column[keep] for column in area.features)),
+    )
+
+
+def _joined(old: Features, new: Features) -> Features:
+    return Features(*(np.concatenate(pair) for pair in zip(old, new, strict=True)))
