@@ -60,6 +60,13 @@ class SegmentationConfig(Section):
         0.17, description="radians; the steepest incidence at which a surface is still one"
     )
     max_range: Positive = Field(30.0, description="metres; returns beyond are not segmented")
+    max_gap_beams: int = Field(
+        3, ge=0, description="beams without a word that a surface may go on across"
+    )
+    merge_gap: NonNegative = Field(
+        0.5, description="metres; pieces of one line are joined across something before them"
+    )
+    outlier_sigmas: Positive = Field(4.0, description="points farther off a line do not count")
 
 
 class OdometryConfig(Section):

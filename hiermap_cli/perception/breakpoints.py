@@ -1,0 +1,77 @@
+"""Adaptive breakpoints: where one surface ends and another begins.
+
+Two neighbouring returns belong to one surface when a wall at the steepest incidence that is still
+believed explains their distance (Borges and Aldon 2004), or when the range goes on as the wall
+before and behind foretells: along a line the inverse range is a sinusoid of the bearing, so that
+walls seen at grazing incidence stay whole.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import LaserConfig, SegmentationConfig
+    from hiermap_cli.perception.beams import Beams
+
+
+def breakpoints(beams: Beams, laser: LaserConfig, config: SegmentationConfig) -> NDArray[np.bool_]:
+    """True for each point (N,) that begins a new surface in its scan.
+
+    Across the seam of a full circle there is always a breakpoint; the merge looks over it.
+    """
+    total = len(beams.cell)
+    breaks = np.ones(total, dtype=bool)
+    if total < 2:
+        return breaks
+    width = beams.ranges.shape[1]
+    cell, r = beams.cell, beams.r
+    gap = np.diff(cell)
+    sigma = laser.sigma_range + laser.sigma_range_scale * r
+    noise = 3.0 * np.sqrt(2.0) * np.maximum(sigma[1:], sigma[:-1])
+    steps = np.arange(config.max_gap_beams + 2) * beams.spacing
+    ratio = np.full(len(steps), np.inf)
+    below = steps < config.breakpoint_angle * 0.9
+    ratio[below] = np.sin(steps[below]) / np.sin(config.breakpoint_angle - steps[below])
+    ratio[~below] = ratio[below][-1] if below.any() else 1.0
+    near = np.minimum(r[1:], r[:-1])
+    allowed = near * ratio[np.minimum(gap, len(steps) - 1)] + noise
+    step = (beams.x[1:] - beams.x[:-1]) ** 2 + (beams.y[1:] - beams.y[:-1]) ** 2
+    apart = step > allowed * allowed
+    suspect = np.flatnonzero(apart & (gap == 1))
+    if len(suspect):
+        apart[suspect[_runs_on(beams, laser, suspect)]] = False
+    apart |= gap > config.max_gap_beams + 1
+    scan = cell // width
+    apart |= scan[1:] != scan[:-1]
+    missing = np.flatnonzero((gap > 1) & ~apart)
+    if len(missing):
+        free = np.cumsum(np.isposinf(beams.ranges.ravel()))
+        apart[missing] = free[cell[missing + 1]] > free[cell[missing]]
+    breaks[1:] = apart
+    return breaks
+
+
+def _runs_on(beams: Beams, laser: LaserConfig, suspect: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether the jump from point i to i + 1 is one that a straight wall makes at its beams."""
+    inside = (suspect >= 1) & (suspect + 2 < len(beams.cell))
+    i = np.clip(suspect, 1, len(beams.cell) - 3)
+    four = i[:, None] + np.arange(-1, 3)
+    inside &= beams.cell[four[:, 3]] - beams.cell[four[:, 0]] == 3
+    r = beams.r[four]
+    q = 1.0 / r
+    noise = (laser.sigma_range + laser.sigma_range_scale * r) * q * q
+    twice = 2.0 * np.cos(beams.spacing)
+    left = q[:, 0] - twice * q[:, 1] + q[:, 2]
+    right = q[:, 1] - twice * q[:, 2] + q[:, 3]
+    bound_left = 3.0 * np.sqrt(noise[:, 0] ** 2 + 4.0 * noise[:, 1] ** 2 + noise[:, 2] ** 2)
+    bound_right = 3.0 * np.sqrt(noise[:, 1] ** 2 + 4.0 * noise[:, 2] ** 2 + noise[:, 3] ** 2)
+    # The jump itself must stand out of the noise, or anything would be straight.
+    jump = np.abs(q[:, 2] - q[:, 1])
+    decided = jump > 2.0 * np.maximum(bound_left, bound_right)
+    fits = (np.abs(left) < bound_left) & (np.abs(right) < bound_right)
+    return inside & decided & fits
