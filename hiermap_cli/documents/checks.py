@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     Array = NDArray[np.float64]
 
@@ -97,16 +97,16 @@ def sound_covariance(C: Array, what: str) -> Array:
     return 0.5 * (C + C.T)
 
 
-def sound_array(values: Array, what: str) -> Array:
-    """The values, for writing.
+def sound_array(values: ArrayLike, what: str) -> Array:
+    """The values as an array, for writing.
 
     Raises:
         UnsoundValueError: one of them is not finite.
     """
-    values = np.asarray(values, dtype=float)
-    if not np.isfinite(values).all():
-        raise UnsoundValueError(f"{what} is not finite: {values.ravel()[:6].tolist()}")
-    return values
+    array = np.asarray(values, dtype=float)
+    if not np.isfinite(array).all():
+        raise UnsoundValueError(f"{what} is not finite: {array.ravel()[:6].tolist()}")
+    return array
 
 
 def plain(value: Any, what: str) -> Any:

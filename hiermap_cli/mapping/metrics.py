@@ -1,0 +1,134 @@
+"""Names, units and meanings of the figures that a run gives about itself, without any truth.
+
+They are public: report.json carries them by these names, and limits are set on them. What can be
+counted from a finished model or from trajectories is computed here; what only the estimator
+knows (`KNOWN_BY_THE_ESTIMATOR`) it puts into `MapResult.metrics` by `metric`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiermap_cli.geometry.se2 import between, compose, invert, wrap
+from hiermap_cli.mapping.model import Metric
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.mapping.model import HierarchicalModel, Trajectory
+
+    Array = NDArray[np.float64]
+
+# name: (units, meaning, what n counts)
+KNOWN_BY_THE_ESTIMATOR = {
+    "scans_processed": ("1", "scans that the filter used", "scans of the log"),
+    "scans_matched": ("1", "scans used of which something matched the map", "scans used"),
+    "matches": ("1", "measurements matched with known landmarks", "measurements"),
+    "matching_failures": (
+        "1",
+        "scans used that matched nothing where something was known",
+        "scans",
+    ),
+    "landmarks_forgotten": ("1", "landmarks dropped by their utility", "landmarks ever begun"),
+    "areas_reentered": ("1", "returns into a known area", "entries of areas"),
+    "loops_closed": ("1", "loop edges accepted at the environment level", "loops proposed"),
+    "loops_rejected": ("1", "loop edges refused as inconsistent", "loops proposed"),
+    "relocations": ("1", "times that a lost robot was found again", "times that it was lost"),
+    "nis_mean": ("1", "normalised innovation squared per degree of freedom; 1 fits", "updates"),
+    "nis_inside_95": ("1", "share of updates whose NIS lies in its 95 % band", "updates"),
+    "odometry_scale_translation": ("1", "estimated true distance per odometry's", "updates"),
+    "odometry_scale_rotation": ("1", "estimated true rotation per odometry's", "updates"),
+    "odometry_curvature": ("rad/m", "estimated heading drift per metre", "updates"),
+    "laser_x": ("m", "estimated laser position ahead of the robot's origin", "updates"),
+}
+
+COUNTED_FROM_THE_MODEL = {
+    "areas": ("1", "areas of the model", "areas"),
+    "rooms": ("1", "areas of kind room", "areas"),
+    "corridors": ("1", "areas of kind corridor", "areas"),
+    "doors": ("1", "doors and openings that were crossed", "doors"),
+    "door_crossings": ("1", "crossings of all doors", "doors"),
+    "landmarks": ("1", "landmarks kept", "landmarks"),
+    "landmarks_<kind>": ("1", "landmarks kept of one kind", "landmarks"),
+}
+
+TAKEN_FROM_TRAJECTORIES = {
+    "path_length": ("m", "length of the final trajectory", "poses"),
+    "robot_position_sigma_median": ("m", "median position deviation in g", "poses"),
+    "robot_position_sigma_end": ("m", "position deviation in g at the end", "poses"),
+    "odometry_correction_end": ("m", "how far odometry alone would be off at the end", "poses"),
+    "odometry_correction_end_rot": ("rad", "the same of the heading", "poses"),
+    "odometry_correction_max": ("m", "how far odometry alone would be off at worst", "poses"),
+    "refinement_max": ("m", "largest difference of the filter's and the final pose", "poses"),
+}
+
+_UNITS = {
+    name: units
+    for table in (KNOWN_BY_THE_ESTIMATOR, COUNTED_FROM_THE_MODEL, TAKEN_FROM_TRAJECTORIES)
+    for name, (units, _, _) in table.items()
+}
+
+
+def metric(name: str, value: float, n: int) -> Metric:
+    """A metric of one of the names above, with its units.
+
+    Raises:
+        KeyError: no such name; add it to its table first.
+    """
+    return Metric(name=name, units=_UNITS[name], value=float(value), n=int(n))
+
+
+def model_metrics(model: HierarchicalModel) -> tuple[Metric, ...]:
+    """The counts of a model."""
+    kinds = Counter(landmark.kind for landmark in model.landmarks)
+    areas = Counter(area.kind for area in model.areas)
+    doors = model.environment.doors
+    crossings = sum(door.crossings for door in doors)
+    n_areas, n_landmarks = len(model.areas), len(model.landmarks)
+    return (
+        metric("areas", n_areas, n_areas),
+        metric("rooms", areas["room"], n_areas),
+        metric("corridors", areas["corridor"], n_areas),
+        metric("doors", len(doors), len(doors)),
+        metric("door_crossings", crossings, len(doors)),
+        metric("landmarks", n_landmarks, n_landmarks),
+        *(
+            Metric(f"landmarks_{kind}", "1", float(count), n_landmarks)
+            for kind, count in sorted(kinds.items())
+        ),
+    )
+
+
+def trajectory_metrics(
+    final: Trajectory, by_filter: Trajectory, odometry: Array
+) -> tuple[Metric, ...]:
+    """Figures of the trajectories of a run.
+
+    Args:
+        final: as refined, N poses.
+        by_filter: by the filter alone, N poses.
+        odometry: (N, 3), the robot in the odometry's frame at the same stamps; it is put
+            together with `final` at the first pose.
+    """
+    n = len(final.poses)
+    if n == 0:
+        return ()
+    steps = np.linalg.norm(np.diff(final.poses[:, :2], axis=0), axis=1)
+    variances = np.trace(final.covariances[:, :2, :2], axis1=1, axis2=2)
+    R_g_o = compose(final.poses[0], invert(odometry[0]))
+    error = between(final.poses, compose(R_g_o, odometry))
+    off = np.linalg.norm(error[:, :2], axis=1)
+    refined = np.linalg.norm(final.poses[:, :2] - by_filter.poses[:, :2], axis=1)
+    sigma = np.sqrt(np.maximum(variances, 0.0))
+    return (
+        metric("path_length", float(steps.sum()), n),
+        metric("robot_position_sigma_median", float(np.median(sigma)), n),
+        metric("robot_position_sigma_end", float(sigma[-1]), n),
+        metric("odometry_correction_end", float(off[-1]), n),
+        metric("odometry_correction_end_rot", float(abs(wrap(error[-1, 2]))), n),
+        metric("odometry_correction_max", float(off.max()), n),
+        metric("refinement_max", float(refined.max()), n),
+    )
