@@ -1,0 +1,206 @@
+"""Areas of a model against those of a reference, and how they hang together.
+
+`area_*` after Bormann et al. 2016, "Room segmentation: survey, implementation, and analysis",
+and `topology_*`. Overlaps are exact areas of polygons.
+
+**The part of a reference area that was seen** is what the robot saw of it from inside: the union
+of the stars of sight from every pose of the trajectory in the area, blocked by the area's own
+outline and by the reference's walls and furniture. It does not depend on the model, so that a
+room which the model lost counts as lost. A visited area without a pose in it was not seen, and is
+left out of the recall.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.evaluation.matching import match_largest
+from hiermap_cli.evaluation.measures import measured, ratio
+from hiermap_cli.evaluation.visibility import View, star, viewpoints
+from hiermap_cli.evaluation.walls import solid_segments
+from hiermap_cli.mapping.model import Metric
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.documents.reference import ReferenceArea, ReferenceMap
+    from hiermap_cli.evaluation.placed import PlacedModel
+
+    Array = NDArray[np.float64]
+
+_WHOLE = 0.999  # of an area: once so much was seen, later poses add nothing
+
+
+class AreaMatch(NamedTuple):
+    """A model area and the reference area that it is, with their intersection over union."""
+
+    model: str
+    reference: str
+    iou: float
+
+
+class AreaMetrics(NamedTuple):
+    """Means over areas; nan where there is nothing to divide by.
+
+    `matches` are one to one with IoU >= 0.5; `found` areas of the model have an extent, `asked`
+    reference areas were visited, `seen` of them also from inside.
+    """
+
+    precision: float
+    recall: float
+    f1_iou50: float
+    found: int
+    asked: int
+    seen: int
+    matches: tuple[AreaMatch, ...]
+
+    def metrics(self) -> tuple[Metric, ...]:
+        """The figures under the names of eval.json, those that could be measured."""
+        return measured(
+            Metric("area_precision", "", self.precision, self.found),
+            Metric("area_recall", "", self.recall, self.seen),
+            Metric("area_f1_iou50", "", self.f1_iou50, self.found + self.asked),
+        )
+
+
+class TopologyMetrics(NamedTuple):
+    """Edges of the area graph; nan where there is nothing to divide by."""
+
+    precision: float
+    recall: float
+    found: int
+    asked: int
+
+    def metrics(self) -> tuple[Metric, ...]:
+        """The figures under the names of eval.json, those that could be measured."""
+        return measured(
+            Metric("topology_precision", "", self.precision, self.found),
+            Metric("topology_recall", "", self.recall, self.asked),
+        )
+
+
+def area_metrics(
+    model: PlacedModel,
+    reference: ReferenceMap,
+    poses: Array,
+    view: View = View(),  # noqa: B008 - an immutable value
+) -> AreaMetrics | None:
+    """Areas of the model against visited ones of the reference; None without areas in it.
+
+    Args:
+        model: in the reference's frame.
+        reference: its walls and furniture block the view.
+        poses: (N, 3) of the robot in the reference's frame, the truth where it is known.
+        view: what the laser could see from a pose.
+    """
+    if reference.areas is None:
+        return None
+    found = {area.id: shape(area.polygon) for area in model.areas}
+    found = {area: polygon for area, polygon in found.items() if polygon.area > 0}
+    true = [shape(area.polygon) for area in reference.areas]
+    visited = [area for area in reference.areas if area.visited]
+    asked = [shape(area.polygon) for area in visited]
+    seen = [seen_part(area, reference, poses, view) for area in visited]
+    largest = _overlaps(seen, found.values()).max(axis=1, initial=0.0)
+    recalls = [best / part.area for best, part in zip(largest, seen, strict=True) if part.area > 0]
+    overlap = _overlaps(found.values(), true)
+    precisions = overlap.max(axis=1, initial=0.0) / [polygon.area for polygon in found.values()]
+    iou = _ious(found.values(), asked)
+    pairs = match_largest(iou, iou >= 0.5)
+    ids = tuple(found)
+    return AreaMetrics(
+        precision=float(np.mean(precisions)) if len(precisions) else math.nan,
+        recall=float(np.mean(recalls)) if recalls else math.nan,
+        f1_iou50=ratio(2 * len(pairs), len(found) + len(asked)),
+        found=len(found),
+        asked=len(asked),
+        seen=len(recalls),
+        matches=tuple(AreaMatch(ids[i], visited[j].id, float(iou[i, j])) for i, j in pairs),
+    )
+
+
+def topology_metrics(model: PlacedModel, reference: ReferenceMap) -> TopologyMetrics | None:
+    """Pairs of areas joined by a crossed door; None without areas or doors in the reference.
+
+    Areas are matched one to one by largest overlap, of at least half of the smaller one; an edge
+    of the model with an area that has no match is wrong.
+    """
+    if reference.areas is None or reference.doors is None:
+        return None
+    found = [shape(area.polygon) for area in model.areas]
+    true = [shape(area.polygon) for area in reference.areas]
+    overlap = _overlaps(found, true)
+    smaller = np.minimum.outer([p.area for p in found], [p.area for p in true])
+    pairs = match_largest(
+        overlap, (overlap > 0) & (overlap >= 0.5 * smaller.reshape(overlap.shape))
+    )
+    name = {model.areas[i].id: reference.areas[j].id for i, j in pairs}
+    edges = _edges(door.areas for door in model.doors if door.crossed)
+    asked = _edges(door.areas for door in reference.doors if door.visited)
+    right = {frozenset(name.get(area, "") for area in edge) for edge in edges} & asked
+    return TopologyMetrics(
+        precision=ratio(len(right), len(edges)),
+        recall=ratio(len(right), len(asked)),
+        found=len(edges),
+        asked=len(asked),
+    )
+
+
+def seen_part(area: ReferenceArea, reference: ReferenceMap, poses: Array, view: View) -> Any:
+    """The part of a reference area that the robot saw from inside it, as a shapely geometry.
+
+    Poses (N, 3) are in the reference's frame.
+    """
+    import shapely  # noqa: PLC0415 - only map metrics need it
+
+    polygon = shape(area.polygon)
+    xmin, ymin, xmax, ymax = polygon.bounds
+    outline = np.hstack((area.polygon, np.roll(area.polygon, -1, axis=0)))
+    solid = solid_segments(reference)
+    low, high = np.minimum(solid[:, :2], solid[:, 2:]), np.maximum(solid[:, :2], solid[:, 2:])
+    near = ((low <= (xmax, ymax)) & (high >= (xmin, ymin))).all(axis=1)
+    blockers = np.concatenate((outline, solid[near]))
+    inside = shapely.contains_xy(polygon, poses[:, 0], poses[:, 1])
+    # Beyond the diagonal there is nothing of the area: rays end there at the latest.
+    reach = min(view.reach, 1.0 + float(np.hypot(xmax - xmin, ymax - ymin)))
+    seen = shapely.Polygon()
+    for batch in np.array_split(stars := viewpoints(poses[inside]), max(1, len(stars) // 20)):
+        parts = [shape(star(pose, blockers, View(reach, view.field_of_view))) for pose in batch]
+        seen = shapely.union_all([seen, *parts]).intersection(polygon)
+        if seen.area >= _WHOLE * polygon.area:
+            break
+    return seen
+
+
+def shape(polygon: Array) -> Any:
+    """A polygon (m, 2) as a valid shapely geometry; nothing of fewer than three points."""
+    import shapely  # noqa: PLC0415 - only map metrics need it
+
+    if len(polygon) < 3:
+        return shapely.Polygon()
+    return shapely.make_valid(shapely.Polygon(polygon))
+
+
+def _overlaps(first: Iterable[Any], second: Iterable[Any]) -> Array:
+    """Areas of intersection, shape (n, m)."""
+    rows, columns = list(first), list(second)
+    areas = [[a.intersection(b).area for b in columns] for a in rows]
+    return np.array(areas, dtype=float).reshape(len(rows), len(columns))
+
+
+def _ious(first: Iterable[Any], second: Iterable[Any]) -> Array:
+    """Intersection over union, shape (n, m)."""
+    rows, columns = list(first), list(second)
+    overlap = _overlaps(rows, columns)
+    sizes = np.add.outer([p.area for p in rows], [p.area for p in columns])
+    return overlap / (sizes.reshape(overlap.shape) - overlap)
+
+
+def _edges(joined: Iterable[tuple[str, str]]) -> set[frozenset[str]]:
+    """Unordered pairs of two different areas."""
+    return {frozenset(pair) for pair in joined if pair[0] != pair[1]}

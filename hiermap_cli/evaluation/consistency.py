@@ -1,0 +1,171 @@
+"""Whether a covariance tells the truth: normalised estimation error squared (NEES).
+
+A NEES per degree of freedom of 1 is what an honest covariance gives; above it the estimator is
+overconfident, below it too timid. Estimate and truth are put together at the first common pose,
+never by best fit, which would hide the drift that the covariance has to cover.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.evaluation.corners import CORNER_RADIUS, furniture_corners, wall_corners
+from hiermap_cli.evaluation.doors import DOOR_RADIUS
+from hiermap_cli.evaluation.matching import match_points
+from hiermap_cli.evaluation.placed import is_corner, is_door, landmark_points, move_points
+from hiermap_cli.evaluation.trajectory import MAX_GAP_S, poses_at
+from hiermap_cli.geometry.se2 import compose, invert, wrap
+from hiermap_cli.mapping.model import Metric
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.documents.reference import ReferenceDoor, ReferenceMap
+    from hiermap_cli.evaluation.placed import PlacedPoints
+    from hiermap_cli.mapping.model import HierarchicalModel, LandmarkModel, Trajectory
+
+    Array = NDArray[np.float64]
+    Stamps = NDArray[np.int64]
+
+_SINGULAR = 1e-10  # smallest eigenvalue of a correlation matrix that is still inverted
+_THICKEST = 0.5  # metres from a door's line to a face of its wall
+
+
+class Nees(NamedTuple):
+    """The mean NEES per degree of freedom, nan where `n` is 0, and the single values.
+
+    values: (k,) per pose or landmark, nan where the covariance is singular or nothing matches.
+    """
+
+    mean: float
+    n: int
+    values: Array
+
+    def metrics(self, name: str) -> tuple[Metric, ...]:
+        """The figure under its name in eval.json; nothing where it was not measured."""
+        return () if self.n == 0 else (Metric(name, "", self.mean, self.n),)
+
+
+def nees_values(errors: Array, covariances: Array) -> Array:
+    """`e' C^-1 e / d` for errors (N, d) and covariances (N, d, d); nan where C is singular."""
+    sigma = np.sqrt(np.maximum(np.einsum("nii->ni", covariances), 0.0))
+    usable = (sigma > 0.0).all(axis=1)
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = covariances / (scale[:, :, None] * scale[:, None, :])
+    usable &= np.linalg.eigvalsh(correlation)[:, 0] > _SINGULAR
+    values = np.full(len(errors), math.nan)
+    whitened = errors[usable] / scale[usable]
+    solved = np.linalg.solve(correlation[usable], whitened[:, :, None])[:, :, 0]
+    values[usable] = (whitened * solved).sum(axis=1) / errors.shape[1]
+    return values
+
+
+def first_pose_alignment(
+    stamps_ns: Stamps, poses: Array, truth_ns: Stamps, truth: Array
+) -> Array | None:
+    """`R_t_g` (3,) that puts estimate (N, 3) and truth (T, 3) together at the first common pose.
+
+    That is the first estimated pose with a true one within 0.5 s; None where there is none.
+    """
+    at, found = poses_at(truth_ns, truth, stamps_ns, MAX_GAP_S)
+    if not found.any():
+        return None
+    first = int(np.argmax(found))
+    return compose(at[first], invert(poses[first]))
+
+
+def robot_nees(trajectory: Trajectory, truth_ns: Stamps, truth: Array) -> Nees:
+    """`nees_robot`: three degrees of freedom, the additive error of every scan's pose in g.
+
+    truth_ns (T,), truth (T, 3) are the true robot poses in any frame.
+    """
+    values = np.full(len(trajectory.poses), math.nan)
+    R_t_g = first_pose_alignment(trajectory.stamps_ns, trajectory.poses, truth_ns, truth)
+    if R_t_g is not None:
+        at, found = poses_at(truth_ns, truth, trajectory.stamps_ns, MAX_GAP_S)
+        errors = trajectory.poses - compose(invert(R_t_g), at)
+        errors[:, 2] = wrap(errors[:, 2])
+        values[found] = nees_values(errors[found], trajectory.covariances[found])
+    return _mean(values)
+
+
+def landmark_nees(
+    model: HierarchicalModel, reference: ReferenceMap, R_t_g: Array, best_R_t_g: Array
+) -> Nees:
+    """`nees_landmarks`: two degrees of freedom, positions in g of matched corners and doors.
+
+    Args:
+        model: the map.
+        reference: what is truly there, in frame t.
+        R_t_g: (3,) from `first_pose_alignment`, by which the errors are taken.
+        best_R_t_g: (3,) from the best fit of the trajectories, by which landmarks are matched,
+            as for `corner_*` and `door_*`.
+    """
+    corners = np.concatenate((wall_corners(reference).points, furniture_corners(reference)))
+    doors = np.array(
+        [face for door in reference.doors or () for face in door_faces(door, reference)]
+    )
+    kinds: tuple[tuple[Iterable[LandmarkModel], Array, float], ...] = (
+        (filter(is_corner, model.landmarks), corners, CORNER_RADIUS),
+        (filter(is_door, model.landmarks), doors.reshape(-1, 2), DOOR_RADIUS),
+    )
+    return _mean(
+        np.concatenate(
+            [
+                _point_nees(landmark_points(model, chosen), true, radius, R_t_g, best_R_t_g)
+                for chosen, true, radius in kinds
+            ]
+        )
+    )
+
+
+def _point_nees(
+    found: PlacedPoints, true: Array, radius: float, R_t_g: Array, best_R_t_g: Array
+) -> Array:
+    """NEES (k,) of landmarks in g against true points (m, 2) in t; nan where none matches."""
+    values = np.full(len(found.ids), math.nan)
+    i, j = match_points(move_points(best_R_t_g, found.points), true, radius).T
+    errors = found.points[i] - move_points(invert(R_t_g), true[j])
+    values[i] = nees_values(errors, found.covariances[i])
+    return values
+
+
+def door_faces(door: ReferenceDoor, reference: ReferenceMap) -> list[Array]:
+    """Where a door's landmark can truly be: the middle between the jambs on each face of its wall.
+
+    A door landmark lies on the face that its area sees. The faces are found from ends of walls
+    beside both jambs at the same distance from the door's line; without such walls it is the
+    door's line itself.
+    """
+    middle, span = 0.5 * (door.p1 + door.p2), door.p2 - door.p1
+    width = float(np.hypot(*span))
+    if reference.walls is None or width == 0.0:
+        return [middle]
+    along = span / width
+    normal = np.array([-along[1], along[0]])
+    ends = reference.walls.reshape(-1, 2) - middle
+    u, v = ends @ along, ends @ normal
+    beside = (np.abs(np.abs(u) - 0.5 * width) < 0.02) & (np.abs(v) < _THICKEST)
+    left, right = v[beside & (u < 0)], v[beside & (u > 0)]
+    faces: list[float] = []
+    for offset in np.sort(left).tolist():
+        repeated = any(abs(offset - face) < 0.02 for face in faces)
+        if not repeated and (np.abs(right - offset) < 0.02).any():
+            faces.append(offset)
+    return [middle + offset * normal for offset in faces] or [middle]
+
+
+def position_sigmas(covariances: Array) -> Array:
+    """Standard deviation (N,) of the position along its worst direction, of (N, 3, 3)."""
+    largest = np.asarray(np.linalg.eigvalsh(covariances[:, :2, :2])[:, 1], dtype=np.float64)
+    return np.asarray(np.sqrt(np.maximum(largest, 0.0)))
+
+
+def _mean(values: Array) -> Nees:
+    known = values[~np.isnan(values)]
+    return Nees(float(known.mean()) if len(known) else math.nan, len(known), values)

@@ -1,0 +1,174 @@
+"""Corners of a model against those of a reference map (`corner_*`)."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.evaluation.matching import match_points
+from hiermap_cli.evaluation.measures import measured, ratio, rms
+from hiermap_cli.evaluation.visibility import View, in_sight
+from hiermap_cli.evaluation.walls import segment_distances, solid_segments
+from hiermap_cli.mapping.model import Metric
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.documents.reference import ReferenceMap
+    from hiermap_cli.evaluation.placed import PlacedModel
+
+    Array = NDArray[np.float64]
+
+CORNER_RADIUS = 0.25  # metres between a corner found and the true one
+_JOINED = 0.01  # metres between wall ends that are one point
+_PARALLEL = math.radians(5.0)  # walls that differ by less make no corner
+_ALONG = 0.1  # metres along each wall that must be seen for its corner to be seen
+
+
+class ReferenceCorners(NamedTuple):
+    """Points (c, 2) where two walls end together, and a point on each wall beside it (c, 2, 2)."""
+
+    points: Array
+    sides: Array
+
+
+def end_corners(segments: Array) -> ReferenceCorners:
+    """Points where exactly two of the segments (W, 4) that are not parallel end together."""
+    ends = segments.reshape(-1, 2)
+    inward = segments.reshape(-1, 2, 2)[:, ::-1].reshape(-1, 2) - ends
+    length = np.hypot(inward[:, 0], inward[:, 1])
+    points, sides = [], []
+    for group in _joined(ends):
+        if len(group) != 2:
+            continue
+        direction = inward[group] / length[group, None]
+        cross = direction[0, 0] * direction[1, 1] - direction[0, 1] * direction[1, 0]
+        if abs(cross) < math.sin(_PARALLEL):
+            continue
+        points.append(ends[group].mean(axis=0))
+        sides.append(ends[group] + np.minimum(_ALONG, 0.5 * length[group])[:, None] * direction)
+    return ReferenceCorners(np.array(points).reshape(-1, 2), np.array(sides).reshape(-1, 2, 2))
+
+
+def _joined(ends: Array) -> list[list[int]]:
+    """Groups of points (n, 2) that are chained by gaps of at most `_JOINED`, by first index."""
+    order = np.argsort(ends[:, 0], kind="stable")
+    parent = list(range(len(ends)))
+
+    def root(i: int) -> int:
+        while parent[i] != i:
+            i = parent[i]
+        return i
+
+    for offset in range(1, len(ends)):
+        a, b = order[:-offset], order[offset:]
+        close_x = ends[b, 0] - ends[a, 0] <= _JOINED
+        if not close_x.any():
+            break
+        close = close_x & (np.hypot(*(ends[b] - ends[a]).T) <= _JOINED)
+        for i, j in zip(a[close].tolist(), b[close].tolist(), strict=True):
+            first, second = sorted((root(i), root(j)))
+            parent[second] = first
+    groups: dict[int, list[int]] = {}
+    for i in range(len(ends)):
+        groups.setdefault(root(i), []).append(i)
+    return list(groups.values())
+
+
+def furniture_corners(reference: ReferenceMap) -> Array:
+    """Corners (c, 2) that furniture makes: of its own sides, and where a side ends on a wall."""
+    furniture = reference.furniture
+    if furniture is None or len(furniture) == 0:
+        return np.zeros((0, 2))
+    own = end_corners(furniture).points
+    if reference.walls is None or len(reference.walls) == 0:
+        return own
+    ends = furniture.reshape(-1, 2)
+    ends = np.array([ends[group].mean(axis=0) for group in _joined(ends)])
+    on_wall = segment_distances(ends, reference.walls) <= _JOINED
+    if len(own):
+        apart = np.hypot(*np.moveaxis(ends[:, None] - own[None], -1, 0))
+        on_wall &= apart.min(axis=1) > _JOINED
+    return np.concatenate((own, ends[on_wall]))
+
+
+def wall_corners(reference: ReferenceMap) -> ReferenceCorners:
+    """The corners of the reference's walls."""
+    walls = reference.walls
+    return end_corners(walls if walls is not None else np.zeros((0, 4)))
+
+
+class CornerMetrics(NamedTuple):
+    """Corners found; nan where there is nothing to divide by."""
+
+    precision: float
+    recall: float
+    rmse: float
+    found: int
+    asked: int
+    matched: int
+
+    def metrics(self) -> tuple[Metric, ...]:
+        """The figures under the names of eval.json, those that could be measured."""
+        return measured(
+            Metric("corner_precision", "", self.precision, self.found),
+            Metric("corner_recall", "", self.recall, self.asked),
+            Metric("corner_rmse", "m", self.rmse, self.matched),
+        )
+
+
+def corner_metrics(
+    model: PlacedModel,
+    reference: ReferenceMap,
+    views: Array,
+    view: View = View(),  # noqa: B008 - an immutable value
+) -> CornerMetrics | None:
+    """Corners of the model against those of the reference; None without walls in it.
+
+    Asked for are wall corners within 0.25 m of a visited area (all where the reference has no
+    areas) of which a pose in `views` (V, 3), in the reference's frame, sees the vertex and a
+    stretch of both walls. Corners of furniture are right when found, and not asked for.
+    """
+    if reference.walls is None:
+        return None
+    walls = wall_corners(reference)
+    true = np.concatenate((walls.points, furniture_corners(reference)))
+    pairs = match_points(model.corners.points, true, CORNER_RADIUS)
+    asked = _seen(walls, reference, views, view) & _in_visited(walls.points, reference)
+    recalled = asked[pairs[pairs[:, 1] < len(asked), 1]]
+    error = model.corners.points[pairs[:, 0]] - true[pairs[:, 1]]
+    return CornerMetrics(
+        precision=ratio(len(pairs), len(model.corners.points)),
+        recall=ratio(int(recalled.sum()), int(asked.sum())),
+        rmse=rms(np.hypot(error[:, 0], error[:, 1])),
+        found=len(model.corners.points),
+        asked=int(asked.sum()),
+        matched=len(pairs),
+    )
+
+
+def _seen(
+    corners: ReferenceCorners, reference: ReferenceMap, views: Array, view: View
+) -> NDArray[np.bool_]:
+    """Which corners (c,) are in sight with both their walls from one of the poses."""
+    obstacles = solid_segments(reference)
+    seen = in_sight(views, corners.points, obstacles, view)
+    for side in (0, 1):
+        seen = seen & in_sight(views, corners.sides[:, side], obstacles, view)
+    return np.asarray(seen.any(axis=0), dtype=np.bool_)
+
+
+def _in_visited(points: Array, reference: ReferenceMap) -> NDArray[np.bool_]:
+    """Which points (n,) lie in or within 0.25 m of a visited area."""
+    if reference.areas is None:
+        return np.ones(len(points), dtype=bool)
+    import shapely  # noqa: PLC0415 - only map metrics need it
+
+    near = np.zeros(len(points), dtype=bool)
+    for area in reference.areas:
+        if area.visited:
+            polygon = shapely.make_valid(shapely.Polygon(area.polygon))
+            near |= shapely.distance(polygon, shapely.points(points)) <= CORNER_RADIUS
+    return near

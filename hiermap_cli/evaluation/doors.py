@@ -1,0 +1,55 @@
+"""Crossed doors of a model against the doors of a reference map (`door_*`)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.evaluation.matching import match_points
+from hiermap_cli.evaluation.measures import measured, ratio, rms
+from hiermap_cli.mapping.model import Metric
+
+if TYPE_CHECKING:
+    from hiermap_cli.documents.reference import ReferenceMap
+    from hiermap_cli.evaluation.placed import PlacedDoor, PlacedModel
+
+DOOR_RADIUS = 0.5  # metres between the centres of doors
+
+
+class DoorMetrics(NamedTuple):
+    """Crossed doors against visited doors of the reference."""
+
+    precision: float
+    recall: float
+    rmse: float
+    found: int
+    asked: int
+    matched: int
+
+    def metrics(self) -> tuple[Metric, ...]:
+        """The figures under the names of eval.json, those that could be measured."""
+        return measured(
+            Metric("door_precision", "", self.precision, self.found),
+            Metric("door_recall", "", self.recall, self.asked),
+            Metric("door_rmse", "m", self.rmse, self.matched),
+        )
+
+
+def door_metrics(model: PlacedModel, reference: ReferenceMap) -> DoorMetrics | None:
+    """Crossed doors of the model against visited ones of the reference; None without doors."""
+    if reference.doors is None:
+        return None
+    found: list[PlacedDoor] = [door for door in model.doors if door.crossed]
+    centres = np.array([door.centre for door in found]).reshape(-1, 2)
+    true = np.array([0.5 * (door.p1 + door.p2) for door in reference.doors if door.visited])
+    pairs = match_points(centres, true.reshape(-1, 2), DOOR_RADIUS)
+    error = centres[pairs[:, 0]] - true.reshape(-1, 2)[pairs[:, 1]]
+    return DoorMetrics(
+        precision=ratio(len(pairs), len(centres)),
+        recall=ratio(len(pairs), len(true)),
+        rmse=rms(np.hypot(error[:, 0], error[:, 1])),
+        found=len(centres),
+        asked=len(true),
+        matched=len(pairs),
+    )
