@@ -1,0 +1,201 @@
+"""Every analytic Jacobian of the project against central differences.
+
+`TABLE` holds one entry for each public function with `_D_` in its name under the packages named
+in `PACKAGES`; a function that is not listed fails. An entry says how to draw arguments, and which
+function of a small step `e` the Jacobian claims to be the derivative of at e = 0.
+"""
+
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+import hiermap_cli
+from hiermap_cli.geometry import lines, points, se2
+
+PACKAGES = ("geometry", "perception", "estimation", "mapping")
+STEP = 1e-6
+DRAWS = 25
+
+
+class Entry(NamedTuple):
+    """A Jacobian, arguments for it, and what it is the derivative of.
+
+    sample: generator -> the arguments of `function`.
+    reference: (e, *arguments) -> vector, with e a vector of `size` components about zero.
+    """
+
+    function: Callable[..., Any]
+    sample: Callable[[np.random.Generator], tuple[Any, ...]]
+    reference: Callable[..., Any]
+    size: int
+
+
+def pose(rng):
+    return np.array([*rng.uniform(-5, 5, 2), rng.uniform(-1.4, 1.4)])
+
+
+def point(rng):
+    return rng.uniform(-5, 5, 2)
+
+
+def hesse(rng):
+    return np.array([rng.uniform(-1.4, 1.4), rng.uniform(-5, 5)])
+
+
+def line(rng):
+    """A line in a chart that suits it, and the chart."""
+    return np.array([rng.uniform(-1, 1), rng.uniform(-5, 5)]), rng.integers(2)
+
+
+def moved_line(rng):
+    """Pose, line, its chart and a chart that suits the moved line."""
+    R_a_b, (S_b, type_b) = pose(rng), line(rng)
+    return R_a_b, S_b, type_b, lines.g_pq_chart(R_a_b, S_b, type_b)
+
+
+def hesse_in_chart(rng):
+    S = hesse(rng)
+    return S, lines.chart(S)
+
+
+def crossing(rng):
+    first = hesse(rng)
+    return first, np.array([first[0] + rng.uniform(0.4, 1.5), rng.uniform(-5, 5)])
+
+
+def centred(rng):
+    return rng.uniform(-1.4, 1.4), point(rng)
+
+
+def through_centre(e, alpha, centre):
+    """The line (alpha, d) whose angle and offset at the centre are changed by e."""
+    n = np.array([np.cos(alpha + e[0]), np.sin(alpha + e[0])])
+    return np.array([alpha + e[0], n @ centre + e[1]])
+
+
+TABLE = [
+    Entry(
+        se2.compose_D_first,
+        lambda rng: (pose(rng), pose(rng)),
+        lambda e, a, b: se2.compose(a + e, b),
+        3,
+    ),
+    Entry(
+        se2.compose_D_second,
+        lambda rng: (pose(rng), pose(rng)),
+        lambda e, a, b: se2.compose(a, b + e),
+        3,
+    ),
+    Entry(se2.invert_D_pose, lambda rng: (pose(rng),), lambda e, a: se2.invert(a + e), 3),
+    Entry(
+        se2.additive_D_invariant,
+        lambda rng: (pose(rng),),
+        lambda e, a: se2.compose(se2.exp(e), a),
+        3,
+    ),
+    Entry(
+        se2.invariant_D_additive,
+        lambda rng: (pose(rng),),
+        lambda e, a: se2.log(se2.compose(a + e, se2.invert(a))),
+        3,
+    ),
+    Entry(
+        points.h_D_pose, lambda rng: (pose(rng), point(rng)), lambda e, R, P: points.h(R + e, P), 3
+    ),
+    Entry(
+        points.h_D_point, lambda rng: (pose(rng), point(rng)), lambda e, R, P: points.h(R, P + e), 2
+    ),
+    Entry(
+        lines.hesse_to_pq_D_hesse,
+        hesse_in_chart,
+        lambda e, S, kind: lines.hesse_to_pq(S + e, kind),
+        2,
+    ),
+    Entry(lines.pq_to_hesse_D_pq, line, lambda e, S, kind: lines.pq_to_hesse(S + e, kind), 2),
+    Entry(
+        lines.change_chart_D_pq,
+        lambda rng: (np.array([rng.choice([-1, 1]) * rng.uniform(0.4, 1), rng.uniform(-5, 5)]),),
+        lambda e, S: lines.change_chart(S + e),
+        2,
+    ),
+    Entry(
+        lines.g_hesse_D_pose,
+        lambda rng: (pose(rng), hesse(rng)),
+        lambda e, R, S: lines.g_hesse(R + e, S),
+        3,
+    ),
+    Entry(
+        lines.g_hesse_D_line,
+        lambda rng: (pose(rng), hesse(rng)),
+        lambda e, R, S: lines.g_hesse(R, S + e),
+        2,
+    ),
+    Entry(lines.g_pq_D_pose, moved_line, lambda e, R, S, b, a: lines.g_pq(R + e, S, b, a), 3),
+    Entry(lines.g_pq_D_line, moved_line, lambda e, R, S, b, a: lines.g_pq(R, S + e, b, a), 2),
+    Entry(lines.hesse_D_centred, centred, through_centre, 2),
+    Entry(
+        lines.intersect_D_lines,
+        crossing,
+        lambda e, a, b: lines.intersect(a + e[:2], b + e[2:]),
+        4,
+    ),
+]
+
+
+def public_jacobians():
+    """Every public function with `_D_` in its name, by its full name."""
+    found = {}
+    for package in PACKAGES:
+        root = importlib.import_module(f"hiermap_cli.{package}")
+        modules = [root.__name__]
+        modules += [f"{root.__name__}.{m.name}" for m in pkgutil.iter_modules(root.__path__)]
+        for name in modules:
+            module = importlib.import_module(name)
+            for attribute, value in vars(module).items():
+                if (
+                    "_D_" in attribute
+                    and not attribute.startswith("_")
+                    and inspect.isfunction(value)
+                    and value.__module__ == name
+                ):
+                    found[f"{name}.{attribute}"] = value
+    return found
+
+
+def numeric(entry, arguments):
+    columns = []
+    for k in range(entry.size):
+        e = np.zeros(entry.size)
+        e[k] = STEP
+        plus = np.asarray(entry.reference(e, *arguments))
+        minus = np.asarray(entry.reference(-e, *arguments))
+        columns.append((plus - minus) / (2 * STEP))
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize("entry", TABLE, ids=lambda entry: entry.function.__qualname__)
+def test_meets_central_differences(entry):
+    rng = np.random.default_rng(7)
+    for _ in range(DRAWS):
+        arguments = entry.sample(rng)
+        analytic = np.asarray(entry.function(*arguments))
+        expected = numeric(entry, arguments)
+        assert analytic.shape == expected.shape
+        scale = 1.0 + np.abs(expected).max()
+        np.testing.assert_allclose(analytic, expected, atol=2e-8 * scale, rtol=1e-7)
+
+
+def test_every_public_jacobian_is_listed():
+    assert hiermap_cli.__name__ == "hiermap_cli"
+    listed = {entry.function for entry in TABLE}
+    missing = sorted(name for name, value in public_jacobians().items() if value not in listed)
+    assert not missing, f"give {missing} an entry in TABLE"
+
+
+def test_the_search_for_jacobians_finds_them():
+    assert "hiermap_cli.geometry.se2.compose_D_first" in public_jacobians()
