@@ -46,21 +46,72 @@ class Mount:
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """One scan as read: `ranges` (beams,) float32, stamp of its header."""
+    """One scan as read: `ranges` (beams,) float32, stamp of its header, frame of the laser."""
 
     stamp_ns: int
     ranges: NDArray[np.float32]
     laser: LaserGeometry
+    frame: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """One odometry reading: pose of the robot in the odometry's frame, `[x, y, theta]`."""
+    """One odometry reading: pose of the robot in the odometry's frame, `[x, y, theta]`.
+
+    `theta` is as the log has it, not wrapped. `frame` is the odometry's frame, `child` the
+    robot's, both empty where the format has no frames.
+    """
 
     stamp_ns: int
     x: float
     y: float
     theta: float
+    frame: str = ""
+    child: str = ""
+
+
+class Transform(NamedTuple):
+    """One edge of the tree of frames: the pose of `child` in `parent`, in space.
+
+    translation: (x, y, z) in metres; rotation: quaternion (x, y, z, w), normalised or not.
+    """
+
+    stamp_ns: int
+    parent: str
+    child: str
+    translation: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+
+
+class Record(NamedTuple):
+    """One value of a log, in log order: a message, or one of several that a message carries.
+
+    `log_ns` is when the recorder wrote it. `value` is None for a message of a type that is of
+    no use here, or that could not be decoded (`fault` then says why).
+    """
+
+    topic: str
+    log_ns: int
+    value: Scan | Odometry | Transform | None
+    fault: str = ""
+
+
+class Topic(NamedTuple):
+    """What a log says of one of its topics; `count` is None where only reading tells."""
+
+    name: str
+    type: str
+    encoding: str
+    kind: str
+    count: int | None
+
+
+SCANS = "scans"
+ODOMETRY = "odometry"
+SCANS_WITH_ODOMETRY = "scans with odometry"
+TRANSFORMS = "transforms"
+STATIC_TRANSFORMS = "static transforms"
+OTHER = "other"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,86 @@
+"""No-return conventions of laser makers, translated into +inf (nothing there) and nan.
+
+Three rules cover all formats:
+
+1. A range that is nan, zero, negative or below the laser's `range_min` says nothing: nan.
+2. A range of +inf or of `range_max` and more means that nothing was in reach: +inf.
+3. Where the log does not state `range_max`, it is found once, from the first scans: see
+   `infer_range_max`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+# SICK's LMS counts in centimetres up to 8183; 8183 to 8191 are its codes for "no return",
+# "dazzled" and the like. A log without a stated maximum has this limit unless its data say
+# otherwise: no laser of these formats sees farther.
+SICK_FIRST_CODE = 81.83
+
+# Values at which known lasers and drivers saturate (metres), SICK's 8, 16, 32 and 80 m modes
+# among them. A saturation found in the data that is none of these needs stronger evidence.
+KNOWN_MAXIMA = (
+    4.095, 5.6, 8.0, 8.183, 8.187, 8.19, 8.191, 10.0, 12.0, 15.0, 16.0, 16.38, 16.383, 18.0, 20.0,
+    25.0, 29.99, 30.0, 32.0, 32.766, 32.767, 40.0, 50.0, 60.0, 65.533, 65.535, 80.0, 81.0, 81.83,
+    81.87, 81.9, 81.91,
+)  # fmt: skip
+
+HEAD_SCANS = 64  # scans that `infer_range_max` is given by the readers
+
+
+def float32(value: float) -> float:
+    """The nearest number that a float32 holds.
+
+    Geometries hold such numbers only, so that a log and its conversion to ROS messages, whose
+    fields are float32, are the same to the last bit.
+    """
+    with np.errstate(over="ignore"):
+        return float(np.float32(value))
+
+
+def translate(
+    ranges: NDArray[np.float32], range_min: float, range_max: float
+) -> NDArray[np.float32]:
+    """Ranges (beams,) in metres by rules 1 and 2, as a new array.
+
+    `range_min` and `range_max` must be numbers that float32 holds (`float32`).
+    """
+    nearest = np.float32(max(range_min, 0.0))
+    out = np.where(ranges >= np.float32(range_max), np.float32(np.inf), ranges)
+    # The comparison is written so that nan fails it, and zero too where range_min is zero.
+    keep = (out >= nearest) & (out > 0)
+    if not keep.all():
+        out[~keep] = np.nan
+    return out
+
+
+def infer_range_max(head: Sequence[NDArray[np.float32]]) -> float:
+    """Rule 3: the range at which a laser of unstated reach saturates, from its first scans.
+
+    The largest finite value of the first scans is a saturation if it is one of KNOWN_MAXIMA and
+    occurs at least three times, or if it is any other value that occurs ten times and five times
+    as often as all the values of the last tenth below it. Without a saturation the limit is
+    SICK_FIRST_CODE. The answer depends on the first scans alone, never on how a log is cut into
+    blocks.
+    """
+    values = [r[np.isfinite(r) & (r > 0)] for r in head]
+    pooled = np.concatenate(values) if values else np.empty(0, dtype=np.float32)
+    if not len(pooled):
+        return float32(SICK_FIRST_CODE)
+    top = float(pooled.max())
+    if top >= SICK_FIRST_CODE - 1e-4:
+        return float32(SICK_FIRST_CODE)
+    count = int(np.count_nonzero(pooled == np.float32(top)))
+    near = int(np.count_nonzero(pooled > np.float32(0.9 * top))) - count
+    known = any(math.isclose(top, value, abs_tol=1e-4) for value in KNOWN_MAXIMA)
+    if (known and count >= 3) or (count >= 10 and count >= 5 * near):
+        return float32(top)
+    return float32(SICK_FIRST_CODE)

@@ -1,0 +1,176 @@
+"""A recorded log, opened: the values a run needs, and a report of what was read."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hiermap_cli.errors import InputError
+from hiermap_cli.logs.clock import SECOND, Timed, in_time_order, settle
+from hiermap_cli.logs.detect import open_source
+from hiermap_cli.logs.join import in_blocks, join
+from hiermap_cli.logs.records import Odometry, Scan
+from hiermap_cli.logs.survey import Plan, make_plan, odometry_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from hiermap_cli.config import InputConfig
+    from hiermap_cli.logs.records import Mount, Record, ScanBlock
+    from hiermap_cli.logs.source import Source
+
+
+@dataclass(frozen=True, slots=True)
+class InputReport:
+    """What was read. `dropped` counts by reason what was left out or needed mending."""
+
+    log: str
+    format: str
+    files: tuple[str, ...]
+    sha256: str
+    scan_topic: str
+    odometry_topic: str
+    clock: str
+    mount_source: str
+    scans: int
+    odometry: int
+    dropped: dict[str, int]
+    warnings: tuple[str, ...]
+    lost: tuple[str, ...]
+
+
+def open_recording(paths: Sequence[Path], options: InputConfig) -> Recording:
+    """Opens a log: one file, a folder, or the parts of a split recording.
+
+    Raises InputError where it cannot be read, has no scans or no odometry, or more than one
+    topic fits.
+    """
+    paths = [Path(path) for path in paths]
+    source = open_source(paths)
+    log = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
+    return Recording(source, log, make_plan(source, log, options), options)
+
+
+class Recording:
+    """A log with the plan by which it is read."""
+
+    def __init__(self, source: Source, log: str, plan: Plan, options: InputConfig) -> None:
+        self.source = source
+        self.plan = plan
+        self.log = log
+        self._options = options
+        self._counts: Counter[str] = Counter()
+
+    @property
+    def mount(self) -> Mount:
+        """The laser on the robot."""
+        return self.plan.mount
+
+    @property
+    def scan_topic(self) -> str:
+        """The topic of the scans."""
+        return self.plan.scan_topic
+
+    @property
+    def odometry_topic(self) -> str:
+        """The topic of the odometry, or of the transforms with the edge."""
+        return self.plan.odometry.name
+
+    def timed(self) -> Iterator[Timed]:
+        """Scans and odometry with settled times, in log order."""
+        self._counts.clear()
+        yield from settle(self._chosen(), self.plan.clock, self._counts)
+
+    def blocks(self, size: int = 256) -> Iterator[ScanBlock]:
+        """All scans in time order, in blocks of at most `size`, joined with odometry.
+
+        Raises InputError at the end where no scan was read, or none with a valid range.
+        """
+        settled = self._within(in_time_order(self.timed(), self._counts))
+        joined = join(settled, self.plan.first_odometry, self._counts)
+        yield from in_blocks(joined, self.mount, self.plan.first_laser, size, self._counts)
+        self._check()
+
+    def report(self) -> InputReport:
+        """What was read so far; whole once the blocks have been consumed."""
+        counts = Counter(self._counts)
+        scans, odometry = counts.pop("scans", 0), counts.pop("odometry", 0)
+        return InputReport(
+            log=self.log,
+            format=self.source.format,
+            files=tuple(path.name for path in self.source.paths),
+            sha256=_sha256(self.source.paths),
+            scan_topic=self.scan_topic,
+            odometry_topic=self.odometry_topic,
+            clock=self.plan.clock,
+            mount_source=self.plan.mount_source,
+            scans=scans,
+            odometry=odometry,
+            dropped={reason: n for reason, n in sorted(counts.items()) if n},
+            warnings=self.plan.warnings,
+            lost=tuple(self.source.losses),
+        )
+
+    def _chosen(self) -> Iterator[Record]:
+        """Scans of the chosen topic and readings of the chosen odometry, faults counted."""
+        scan_topic, choice = self.plan.scan_topic, self.plan.odometry
+        records = self.source.records(frozenset({scan_topic}) | choice.topics)
+        if choice.from_transforms:
+            records = odometry_of(records, choice)
+        for record in records:
+            value = record.value
+            if isinstance(value, Scan):
+                if record.topic == scan_topic:
+                    yield record
+            elif isinstance(value, Odometry):
+                if record.topic in choice.topics:
+                    yield record
+            elif record.fault:
+                self._counts[record.fault.partition(":")[0].replace(" ", "_")] += 1
+
+    def _within(self, records: Iterator[Timed]) -> Iterator[Timed]:
+        """Records between --start and --end; odometry from before and after, for the joining."""
+        start, end = self._options.start, self._options.end
+        if start is None and end is None:
+            yield from records
+            return
+        first: int | None = None
+        for timed in records:
+            first = timed.time_ns if first is None else first
+            elapsed = timed.time_ns - first
+            too_late = end is not None and elapsed > end * SECOND
+            if isinstance(timed.value, Odometry):
+                yield timed
+                if too_late:
+                    return
+            elif not too_late and (start is None or elapsed >= start * SECOND):
+                yield timed
+
+    def _check(self) -> None:
+        scans = self._counts["scans"]
+        if not scans:
+            where = f"{self.log}: no scan on {self.scan_topic}"
+            if self._options.start is not None or self._options.end is not None:
+                raise InputError(f"{where} between --start and --end")
+            raise InputError(f"{where} can be read")
+        if self._counts["no_valid_range"] == scans:
+            raise InputError(
+                f"{self.log}: none of the {scans} scans on {self.scan_topic} has a valid range"
+            )
+
+
+def _sha256(paths: Sequence[Path]) -> str:
+    """Of the bytes of the file; of several files, of their digests one after the other."""
+    digests = []
+    for path in paths:
+        try:
+            with path.open("rb") as file:
+                digests.append(hashlib.file_digest(file, "sha256"))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if len(digests) == 1:
+        return digests[0].hexdigest()
+    return hashlib.sha256(b"".join(digest.digest() for digest in digests)).hexdigest()

@@ -1,0 +1,241 @@
+"""The plan of a run, from the first part of a log: topics, mount, clock, first values."""
+
+from __future__ import annotations
+
+import math
+from statistics import median
+from typing import TYPE_CHECKING, NamedTuple
+
+from hiermap_cli.errors import InputError
+from hiermap_cli.logs import records as kinds
+from hiermap_cli.logs.choice import (
+    ARROW,
+    EDGE,
+    OdometryChoice,
+    choose_odometry,
+    choose_scans,
+    describe,
+)
+from hiermap_cli.logs.clock import SECOND, Clock, choose_clock
+from hiermap_cli.logs.join import plausible, sound_geometry
+from hiermap_cli.logs.records import LaserGeometry, Mount, Odometry, Record, Scan, Transform
+from hiermap_cli.logs.transforms import FrameTree, frame_name, planar_pose
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from hiermap_cli.config import InputConfig, MountConfig
+    from hiermap_cli.logs.source import Source
+
+HEAD = 64  # scans, and odometry readings, that decide
+ODOMETRY_FRAMES = ("odom", "odometry", "odom_combined")
+BASE_FRAMES = ("base_link", "base_footprint", "base", "base_frame", "robot", "chassis")
+DISAGREEMENT = 1 * SECOND  # between the header clocks of scans and odometry
+
+
+class Plan(NamedTuple):
+    """What a run reads, and how."""
+
+    scan_topic: str
+    odometry: OdometryChoice
+    clock: Clock
+    mount: Mount
+    mount_source: str
+    base_frame: str
+    laser_frame: str
+    first_odometry: Odometry
+    first_laser: LaserGeometry
+    warnings: tuple[str, ...]
+
+
+class _Head(NamedTuple):
+    scans: list[Record]
+    odometry: list[Record]
+    edges: list[Transform]
+
+
+def make_plan(source: Source, log: str, options: InputConfig) -> Plan:
+    """Decides everything that must be known before the first block.
+
+    Reads until HEAD scans and HEAD odometry readings have been seen. Raises InputError where
+    scans or odometry are missing, or more than one topic fits.
+    """
+    topics = source.topics()
+    scans = choose_scans(log, topics, options.scan_topic)
+    odometry = choose_odometry(log, topics, scans, options.odometry_topic)
+    frames = frozenset(t.name for t in topics if t.kind == kinds.TRANSFORMS)
+    head = _read_head(source, scans.name, odometry, frames)
+    if not head.scans:
+        raise InputError(f"{log}: no scan on {scans.name} can be read{_losses(source)}")
+    warnings: list[str] = []
+    scan_frame = next((r.value.frame for r in head.scans if isinstance(r.value, Scan)), "")
+    static = [*source.static_transforms(), *(e for e in head.edges if not frames)]
+    trees = (
+        (FrameTree(static), ""),
+        (FrameTree([*static, *head.edges]).without_moving(), " (transforms that stay the same)"),
+    )
+    if odometry.from_transforms:
+        odometry = _choose_edge(log, odometry, head.edges, FrameTree(static), scan_frame)
+    readings = [r for r in head.odometry if isinstance(r.value, Odometry)]
+    if odometry.from_transforms:
+        readings = list(odometry_of(head.odometry, odometry))
+    first = next((r.value for r in readings if _is_reading(r.value)), None)
+    if first is None:
+        raise InputError(
+            f"{log}: no odometry on {odometry.name} can be read{_losses(source)}; "
+            f"the log has {describe(topics)}"
+        )
+    assert isinstance(first, Odometry)
+    base = frame_name(first.child) or _base_frame(trees[1][0], scan_frame)
+    mount, mount_source = _mount(options.mount, trees, base, scan_frame, warnings)
+    laser = next((r.value.laser for r in head.scans if _is_seen(r.value)), None)
+    if laser is None:
+        raise InputError(f"{log}: no scan on {scans.name} has a single beam with a direction")
+    return Plan(
+        scans.name,
+        odometry,
+        _choose_clock(head.scans, readings, warnings),
+        mount,
+        mount_source,
+        base,
+        scan_frame,
+        first,
+        laser,
+        tuple(warnings),
+    )
+
+
+def odometry_of(records: Iterable[Record], choice: OdometryChoice) -> Iterator[Record]:
+    """The records with the chosen edge's transforms turned into odometry, others left out."""
+    for record in records:
+        value = record.value
+        if not isinstance(value, Transform):
+            yield record
+        elif (frame_name(value.parent), frame_name(value.child)) == choice.edge:
+            x, y, theta = planar_pose(value.translation, value.rotation)
+            reading = Odometry(value.stamp_ns, x, y, theta, value.parent, value.child)
+            yield record._replace(value=reading)
+
+
+def _read_head(
+    source: Source, scan_topic: str, odometry: OdometryChoice, frames: frozenset[str]
+) -> _Head:
+    head = _Head([], [], [])
+    wanted = frozenset({scan_topic}) | odometry.topics | frames
+    for record in source.records(wanted):
+        value = record.value
+        if isinstance(value, Scan) and record.topic == scan_topic:
+            head.scans.append(record)
+        elif isinstance(value, Odometry) and record.topic in odometry.topics:
+            head.odometry.append(record)
+        elif isinstance(value, Transform):
+            head.edges.append(value)
+            if odometry.from_transforms and record.topic in odometry.topics:
+                head.odometry.append(record)
+        if len(head.scans) >= HEAD and len(head.odometry) >= HEAD:
+            break
+        del head.scans[HEAD:]  # bounded where one of the two comes very late
+    return head
+
+
+def _is_reading(value: object) -> bool:
+    return isinstance(value, Odometry) and plausible(value)
+
+
+def _is_seen(value: object) -> bool:
+    return isinstance(value, Scan) and sound_geometry(value.laser)
+
+
+def _losses(source: Source) -> str:
+    return f" ({source.losses[0]})" if source.losses else ""
+
+
+def _choose_edge(
+    log: str,
+    odometry: OdometryChoice,
+    edges: list[Transform],
+    static: FrameTree,
+    scan_frame: str,
+) -> OdometryChoice:
+    """The edge odometry -> robot among the transforms. Raises InputError where two fit."""
+    seen = dict.fromkeys((frame_name(e.parent), frame_name(e.child)) for e in edges)
+    topic = odometry.name
+    if odometry.edge is not None:
+        if odometry.edge not in seen:
+            raise InputError(
+                f"{log}: no transform {ARROW.join(odometry.edge)} on {topic}; "
+                f"there: {_edge_list(topic, seen)}"
+            )
+        return odometry._replace(name=topic + EDGE + ARROW.join(odometry.edge))
+    fitting = [e for e in seen if e[0].rpartition("/")[2] in ODOMETRY_FRAMES]
+    scan_frame = frame_name(scan_frame)
+    for narrower in (
+        [e for e in fitting if static.connects(e[1], scan_frame)],
+        [e for e in fitting if e[1].rpartition("/")[2] in BASE_FRAMES],
+    ):
+        if len(fitting) > 1 and narrower:
+            fitting = narrower
+    if len(fitting) != 1:
+        what = f"{len(fitting)} transforms fit" if fitting else "no transform fits"
+        raise InputError(
+            f"{log}: no odometry topic, and {what} as odometry: "
+            f"{_edge_list(topic, fitting or seen)}; choose one by --odom-topic"
+        )
+    name = topic + EDGE + ARROW.join(fitting[0])
+    return odometry._replace(name=name, edge=fitting[0])
+
+
+def _edge_list(topic: str, edges: Iterable[tuple[str, str]]) -> str:
+    return ", ".join(topic + EDGE + ARROW.join(edge) for edge in edges) or "none"
+
+
+def _base_frame(tree: FrameTree, scan_frame: str) -> str:
+    """The robot's frame where the odometry does not name it."""
+    for name in BASE_FRAMES:
+        if name in tree.frames() and tree.connects(name, frame_name(scan_frame)):
+            return name
+    return BASE_FRAMES[0]
+
+
+def _mount(
+    given: MountConfig | None,
+    trees: Iterable[tuple[FrameTree, str]],
+    base: str,
+    scan_frame: str,
+    warnings: list[str],
+) -> tuple[Mount, str]:
+    if given is not None:
+        return Mount(given.x, given.y, given.yaw, given.flipped), "configuration"
+    for tree, remark in trees:
+        found = tree.mount(base, scan_frame)
+        if found is not None:
+            warnings.extend(found.warnings)
+            return found.mount, f"log: {base} -> {scan_frame}{remark}"
+    warnings.append(
+        f"the log does not say where the laser is mounted ({base or 'robot'} -> "
+        f"{scan_frame or 'laser'}): taken as the robot's own origin; give --mount x,y,yaw"
+    )
+    return Mount(), "assumed"
+
+
+def _choose_clock(scans: list[Record], readings: list[Record], warnings: list[str]) -> Clock:
+    pairs = [
+        [(r.value.stamp_ns, r.log_ns) for r in records if isinstance(r.value, (Scan, Odometry))]
+        for records in (scans, readings)
+    ]
+    clocks = [choose_clock(p) for p in pairs if p]
+    if "order" in clocks:
+        warnings.append("stamps are unusable: the order of records is taken as their time")
+        return "order"
+    if "log" in clocks:
+        warnings.append("header stamps are unusable: the recorder's time is taken instead")
+        return "log"
+    late = [median(header - log for header, log in p) for p in pairs if p]
+    apart = math.fabs(late[0] - late[-1])
+    if apart > DISAGREEMENT and all(log for p in pairs for _, log in p):
+        warnings.append(
+            f"the header clocks of scans and odometry are {apart / SECOND:.1f} s apart: the "
+            "recorder's time is taken instead"
+        )
+        return "log"
+    return "header"
