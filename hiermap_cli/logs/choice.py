@@ -96,7 +96,7 @@ def _wanted_odometry(
 
 
 def _not_empty(topics: list[Topic]) -> list[Topic]:
-    return [topic for topic in topics if topic.count != 0]
+    return [topic for topic in topics if topic.messages != 0]
 
 
 def _named(

@@ -27,7 +27,7 @@ class LaserGeometry(NamedTuple):
 
     def angles(self) -> NDArray[np.float64]:
         """Beam angles, shape (beams,), in the laser's frame."""
-        return self.angle_min + self.angle_increment * np.arange(self.beams)
+        return self.angle_min + self.angle_increment * np.arange(self.beams, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +97,13 @@ class Record(NamedTuple):
 
 
 class Topic(NamedTuple):
-    """What a log says of one of its topics; `count` is None where only reading tells."""
+    """What a log says of one of its topics; `messages` is None where only reading tells."""
 
     name: str
     type: str
     encoding: str
     kind: str
-    count: int | None
+    messages: int | None
 
 
 SCANS = "scans"

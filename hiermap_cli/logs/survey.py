@@ -88,7 +88,8 @@ def make_plan(source: Source, log: str, options: InputConfig) -> Plan:
     assert isinstance(first, Odometry)
     base = frame_name(first.child) or _base_frame(trees[1][0], scan_frame)
     mount, mount_source = _mount(options.mount, trees, base, scan_frame, warnings)
-    laser = next((r.value.laser for r in head.scans if _is_seen(r.value)), None)
+    seen = (r.value.laser for r in head.scans if isinstance(r.value, Scan))
+    laser = next((laser for laser in seen if sound_geometry(laser)), None)
     if laser is None:
         raise InputError(f"{log}: no scan on {scans.name} has a single beam with a direction")
     return Plan(
@@ -140,10 +141,6 @@ def _read_head(
 
 def _is_reading(value: object) -> bool:
     return isinstance(value, Odometry) and plausible(value)
-
-
-def _is_seen(value: object) -> bool:
-    return isinstance(value, Scan) and sound_geometry(value.laser)
 
 
 def _losses(source: Source) -> str:

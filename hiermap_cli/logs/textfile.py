@@ -27,12 +27,15 @@ def text_lines(path: Path, losses: list[str]) -> Iterator[bytes]:
         with path.open("rb") as file:
             is_gzip = file.read(2) == GZIP_MAGIC
             file.seek(0)
-            pieces = (
-                _gunzip(file, path, losses) if is_gzip else iter(lambda: file.read(1 << 18), b"")
-            )
+            pieces = _gunzip(file, path, losses) if is_gzip else _plain(file)
             yield from _split(pieces, path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def _plain(file: BinaryIO) -> Iterator[bytes]:
+    while piece := file.read(_READ_BYTES):
+        yield piece
 
 
 def _split(pieces: Iterator[bytes], path: Path) -> Iterator[bytes]:
