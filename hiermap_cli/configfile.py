@@ -9,23 +9,21 @@ those of YAML 1.2 and JSON. Values that do not fit are left as they are for pyda
 
 from __future__ import annotations
 
-import difflib
 import re
 import types
 import typing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
 from hiermap_cli.config import Config
 from hiermap_cli.errors import ConfigurationError
+from hiermap_cli.faults import Fault, KeyPath, faults_of, is_model, leaves, path_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from pydantic_core import ErrorDetails
+    from collections.abc import Iterable
 
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -36,23 +34,7 @@ _FALSE = {"false", "no", "off"}
 _MAX_BYTES = 1_000_000
 _MAX_NODES = 200_000  # after aliases are followed: a bomb of anchors ends here
 
-Path_ = tuple[str | int, ...]
 M = TypeVar("M", bound=BaseModel)
-
-
-class Fault(NamedTuple):
-    """A fault of a document: line (from 1, 0 if unknown), path of its key, and what is wrong."""
-
-    line: int
-    path: Path_
-    message: str
-
-    def text(self) -> str:
-        """`line 12: segmentation.min_points: ...`."""
-        parts = [f"line {self.line}"] if self.line else []
-        if self.path:
-            parts.append(path_text(self.path))
-        return ": ".join([*parts, self.message])
 
 
 def load_config(path: Path) -> Config:
@@ -70,11 +52,31 @@ def read_yaml(path: Path, shape: type[M]) -> M:
     Raises:
         ConfigurationError: the file cannot be read, or has faults; all of them are listed.
     """
-    path = Path(path)
+    return parse_yaml(_read_text(Path(path)), str(path), shape)
+
+
+def top_keys(path: Path) -> set[str]:
+    """The keys at the top of a YAML file, to tell one kind of file from another.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or is no YAML.
+    """
+    node = _compose(_read_text(Path(path)), str(path))
+    if not isinstance(node, yaml.MappingNode):
+        return set()
+    return {str(key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode)}
+
+
+def _read_text(path: Path) -> str:
+    """The text of a file.
+
+    Raises:
+        ConfigurationError: it cannot be read, is no UTF-8, or is larger than any of ours.
+    """
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ConfigurationError(str(path), [f"is larger than {_MAX_BYTES} bytes"])
-        text = path.read_text(encoding="utf-8-sig")
+        return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigurationError(
             str(path), [f"is no UTF-8 text (byte {error.start}); save it as UTF-8"]
@@ -83,7 +85,6 @@ def read_yaml(path: Path, shape: type[M]) -> M:
         raise ConfigurationError(
             str(path), [f"cannot be read ({error.strerror or error})"]
         ) from None
-    return parse_yaml(text, str(path), shape)
 
 
 def parse_yaml(text: str, source: str, shape: type[M]) -> M:
@@ -156,11 +157,11 @@ class _Builder:
     """Turns nodes into plain values, remembering the line of every path and each fault."""
 
     def __init__(self) -> None:
-        self.lines: dict[Path_, int] = {}
+        self.lines: dict[KeyPath, int] = {}
         self.faults: list[Fault] = []
         self._nodes = 0
 
-    def build(self, node: yaml.Node, wanted: Any, path: Path_) -> Any:
+    def build(self, node: yaml.Node, wanted: Any, path: KeyPath) -> Any:
         """The value of `node` where the annotation `wanted` is asked for."""
         self._nodes += 1
         if self._nodes > _MAX_NODES:
@@ -170,15 +171,15 @@ class _Builder:
             return self._mapping(node, wanted, path)
         if isinstance(node, yaml.SequenceNode):
             return self._sequence(node, wanted, path)
-        leaves = _leaves(wanted)
-        if node.value in _NULLS and types.NoneType not in leaves and any(map(_is_model, leaves)):
+        kinds = leaves(wanted)
+        if node.value in _NULLS and types.NoneType not in kinds and any(map(is_model, kinds)):
             return {}  # a section whose keys are all commented out
         return read_scalar(
-            node.value, quoted=getattr(node, "style", None) is not None, wanted=leaves
+            node.value, quoted=getattr(node, "style", None) is not None, wanted=kinds
         )
 
-    def _mapping(self, node: yaml.MappingNode, wanted: Any, path: Path_) -> dict[str, Any]:
-        model = next((leaf for leaf in _leaves(wanted) if _is_model(leaf)), None)
+    def _mapping(self, node: yaml.MappingNode, wanted: Any, path: KeyPath) -> dict[str, Any]:
+        model = next((leaf for leaf in leaves(wanted) if is_model(leaf)), None)
         out: dict[str, Any] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
@@ -195,10 +196,10 @@ class _Builder:
             self.lines[here] = line
         return out
 
-    def _sequence(self, node: yaml.SequenceNode, wanted: Any, path: Path_) -> Any:
+    def _sequence(self, node: yaml.SequenceNode, wanted: Any, path: KeyPath) -> Any:
         inner: Any = Any
         is_tuple = False
-        for leaf in _leaves(wanted):
+        for leaf in leaves(wanted):
             arguments = typing.get_args(leaf)
             if typing.get_origin(leaf) in (list, tuple, set, frozenset) and arguments:
                 inner, is_tuple = arguments, typing.get_origin(leaf) is tuple
@@ -214,31 +215,15 @@ class _Builder:
         return tuple(items) if is_tuple else items
 
 
-def _is_model(leaf: Any) -> bool:
-    return isinstance(leaf, type) and issubclass(leaf, BaseModel)
-
-
 def _field(model: type[BaseModel] | None, key: str, wanted: Any) -> Any:
     """The annotation of a mapping's value: of the model's field, or of the dict's values."""
     if model is not None:
         field = model.model_fields.get(key)
         return field.annotation if field is not None else Any
-    for leaf in _leaves(wanted):
+    for leaf in leaves(wanted):
         if typing.get_origin(leaf) is dict:
             return typing.get_args(leaf)[1]
     return Any
-
-
-def _leaves(wanted: Any) -> list[Any]:
-    """The alternatives of an annotation: unions opened, Annotated removed, Literals opened."""
-    origin = typing.get_origin(wanted)
-    if origin is typing.Annotated:
-        return _leaves(typing.get_args(wanted)[0])
-    if origin in (typing.Union, types.UnionType):
-        return [leaf for part in typing.get_args(wanted) for leaf in _leaves(part)]
-    if origin is typing.Literal:
-        return [type(value) for value in typing.get_args(wanted)]
-    return [wanted]
 
 
 def read_scalar(text: str, *, quoted: bool, wanted: Iterable[Any]) -> Any:
@@ -261,66 +246,3 @@ def read_scalar(text: str, *, quoted: bool, wanted: Iterable[Any]) -> Any:
     if lower in ("true", "false") and str not in kinds:
         return lower == "true"
     return text
-
-
-# --- faults of pydantic, in our words ------------------------------------------------------------
-
-
-def path_text(path: Iterable[str | int]) -> str:
-    """`jobs[2].limits[0]`."""
-    text = ""
-    for part in path:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
-    return text
-
-
-def faults_of(error: ValidationError, lines: Mapping[Path_, int] | None = None) -> list[Fault]:
-    """Each fault that pydantic found, with its path, and its line where `lines` knows it."""
-    lines = lines or {}
-    faults = []
-    for details in error.errors(include_url=False):
-        path = tuple(details["loc"])
-        known = path
-        while known and known not in lines:
-            known = known[:-1]
-        faults.append(Fault(lines.get(known, 0), path, _message(details, error)))
-    return faults
-
-
-def _message(details: ErrorDetails, error: ValidationError) -> str:
-    """One fault in a few words, with the value that was given."""
-    kind, given = details["type"], details["input"]
-    if kind == "extra_forbidden":
-        near = difflib.get_close_matches(
-            str(details["loc"][-1]), _known_keys(error.title), n=1, cutoff=0.6
-        )
-        return "unknown key" + (f"; did you mean {near[0]}?" if near else "")
-    if kind == "missing":
-        return "is missing"
-    message = details["msg"]
-    message = message[0].lower() + message[1:]
-    shown = repr(given)
-    return f"{message}, not {shown if len(shown) <= 60 else shown[:57] + '...'}"
-
-
-def _known_keys(title: str) -> list[str]:
-    """Every key of the model named `title` and of those in it, for a hint at a misspelt one."""
-    keys: set[str] = set()
-    models = [model for model in _all_models(BaseModel) if model.__name__ == title]
-    seen: set[type[BaseModel]] = set()
-    while models:
-        model = models.pop()
-        if model in seen:
-            continue
-        seen.add(model)
-        for name, field in model.model_fields.items():
-            keys.add(name)
-            models += [leaf for leaf in _leaves(field.annotation) if _is_model(leaf)]
-    return sorted(keys)
-
-
-def _all_models(base: type[BaseModel]) -> list[type[BaseModel]]:
-    out = [base]
-    for child in base.__subclasses__():
-        out += _all_models(child)
-    return out

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import pydantic_core
 from pydantic import ValidationError
 
-from hiermap_cli.configfile import faults_of
 from hiermap_cli.errors import InputError
+from hiermap_cli.faults import faults_of
 
 if TYPE_CHECKING:
     from hiermap_cli.documents.shapes import Shape

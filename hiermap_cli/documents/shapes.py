@@ -227,7 +227,7 @@ class ReferenceArea(Shape):
     """An area of a reference map."""
 
     id: Id
-    kind: str
+    kind: str = "unknown"
     polygon: Annotated[list[Point], Field(min_length=3)]
     visited: bool = True
 
@@ -266,6 +266,8 @@ class SummaryDocument(Shape):
 class JobDefaults(Shape):
     """What holds for every job that says nothing else; paths are relative to the file."""
 
+    model_config = ConfigDict(extra="forbid")
+
     config: str | list[str] | None = None
     reference: str | None = None
     trajectory: str | None = None
@@ -282,6 +284,8 @@ class JobShape(JobDefaults):
 
 class JobsDocument(Shape):
     """JOBS.yaml of a batch."""
+
+    model_config = ConfigDict(extra="forbid")
 
     defaults: JobDefaults | None = None
     jobs: Annotated[list[JobShape], Field(min_length=1)]

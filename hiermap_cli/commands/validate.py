@@ -1,0 +1,97 @@
+"""`hiermap validate`: any document against its schema and its rules."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hiermap_cli.commands.boundary import one_line
+from hiermap_cli.errors import (
+    EXIT_INPUT,
+    EXIT_OK,
+    EXIT_USAGE,
+    ConfigurationError,
+    HiermapError,
+)
+
+SCHEMAS = ("model", "report", "eval", "reference", "summary", "jobs")
+
+
+@click.command("validate", short_help="Check documents against their schemas.")
+@click.argument("files", nargs=-1, type=click.Path(path_type=Path), metavar="FILE...")
+@click.option("--schema", type=click.Choice(SCHEMAS), help="Print a JSON Schema and do no more.")
+def command(files: tuple[Path, ...], schema: str | None) -> None:
+    r"""Check documents against their schemas and rules.
+
+    Each FILE is recognised by its format key (model.json, report.json, eval.json, reference.json,
+    summary.json), by its ending (.tum), by its columns (trajectory_covariance.txt,
+    relations.txt), or, if it is YAML, by its keys (configuration, floor plan, jobs). What holds is
+    said on stdout, each fault on a line of its own on stderr.
+
+    \b
+        hiermap validate office.hiermap/* configs/*.yaml
+
+    Exit status: 0 if all hold, 1 if a document does not, 2 if a configuration, a floor plan or
+    jobs have faults.
+    """
+    if schema is not None:
+        from hiermap_cli.documents.schema import shipped_schema
+
+        click.echo(shipped_schema(schema), nl=False)
+        return
+    if not files:
+        raise click.UsageError("name at least one FILE, or give --schema")
+    statuses = [_check(path) for path in files]
+    worst = EXIT_INPUT if EXIT_INPUT in statuses else max(statuses)
+    raise click.exceptions.Exit(worst)
+
+
+def _check(path: Path) -> int:
+    """One file: its verdict is said, its exit status given back."""
+    from hiermap_cli.documents.validate import check_file
+
+    try:
+        if path.suffix.lower() in (".yaml", ".yml"):
+            click.echo(f"{path}: valid {_check_yaml(path)}")
+            return EXIT_OK
+        if path.suffix.lower() == ".svg":
+            click.echo(f"{path}: a picture, nothing to check")
+            return EXIT_OK
+        verdict = check_file(path)
+    except ConfigurationError as error:
+        for fault in error.faults:
+            click.echo(f"{path}: {one_line(fault)}", err=True)
+        return EXIT_USAGE
+    except HiermapError as error:
+        click.echo(one_line(str(error)), err=True)
+        return error.exit_status
+    for fault in verdict.faults:
+        click.echo(f"{path}: {one_line(fault)}", err=True)
+    if verdict.faults:
+        return EXIT_INPUT
+    click.echo(f"{path}: valid {verdict.kind}")
+    return EXIT_OK
+
+
+def _check_yaml(path: Path) -> str:
+    """The kind of a YAML file that holds.
+
+    Raises:
+        ConfigurationError: it has faults.
+    """
+    from hiermap_cli.configfile import load_config, read_yaml, top_keys
+
+    keys = top_keys(path)
+    if "jobs" in keys:
+        from hiermap_cli.documents.shapes import JobsDocument
+
+        read_yaml(path, JobsDocument)
+        return "jobs"
+    if not keys.isdisjoint({"way_points", "areas"}):
+        from hiermap_cli.simulation.spec import WorldSpec
+
+        read_yaml(path, WorldSpec)
+        return "world"
+    load_config(path)
+    return "configuration"

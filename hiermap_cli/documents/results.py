@@ -1,0 +1,41 @@
+"""The files of a run, all of formats.md, into one folder."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hiermap_cli.documents.model_file import write_model
+from hiermap_cli.documents.svg import map_svg
+from hiermap_cli.documents.trajectories import write_covariances, write_tum
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from hiermap_cli.mapping.model import MapResult
+
+MODEL = "model.json"
+REPORT = "report.json"
+TRAJECTORY = "trajectory.tum"
+TRAJECTORY_FILTER = "trajectory_filter.tum"
+TRAJECTORY_COVARIANCE = "trajectory_covariance.txt"
+PICTURE = "map.svg"
+
+
+def write_result(folder: Path, result: MapResult) -> None:
+    """Everything but the report, which tells how long this took, into an existing folder.
+
+    Raises:
+        UnsoundValueError: a value that no document can carry: a fault of the program.
+        OSError: the files cannot be written.
+    """
+    final, by_filter = result.trajectory, result.trajectory_filter
+    with (folder / MODEL).open("wb") as model_file:
+        write_model(model_file, result.model)
+    with (folder / TRAJECTORY).open("w", encoding="ascii", newline="\n") as file:
+        write_tum(file, final.stamps_ns, final.poses)
+    with (folder / TRAJECTORY_FILTER).open("w", encoding="ascii", newline="\n") as file:
+        write_tum(file, by_filter.stamps_ns, by_filter.poses)
+    with (folder / TRAJECTORY_COVARIANCE).open("w", encoding="ascii", newline="\n") as file:
+        write_covariances(file, final.stamps_ns, final.covariances)
+    picture = map_svg(result.model, final)
+    (folder / PICTURE).write_text(picture, encoding="utf-8", newline="\n")
