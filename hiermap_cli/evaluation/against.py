@@ -10,7 +10,7 @@ from hiermap_cli.evaluation.corners import corner_metrics
 from hiermap_cli.evaluation.doors import door_metrics
 from hiermap_cli.evaluation.placed import place
 from hiermap_cli.evaluation.trajectory import ate, rpe
-from hiermap_cli.evaluation.visibility import View, viewpoints
+from hiermap_cli.evaluation.visibility import ALL_AROUND, View, viewpoints
 from hiermap_cli.evaluation.walls import wall_metrics
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def map_metrics(
     trajectory: Trajectory,
     reference: ReferenceMap,
     truth: TimedPoses,
-    view: View = View(),  # noqa: B008 - an immutable value
+    view: View = ALL_AROUND,
 ) -> tuple[Metric, ...]:
     """All metrics of a model against a reference map, put together by the trajectories.
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from hiermap_cli.evaluation.matching import match_largest
 from hiermap_cli.evaluation.measures import measured, ratio
-from hiermap_cli.evaluation.visibility import View, star, viewpoints
+from hiermap_cli.evaluation.visibility import ALL_AROUND, View, star, viewpoints
 from hiermap_cli.evaluation.walls import solid_segments
 from hiermap_cli.mapping.model import Metric
 
@@ -88,7 +88,7 @@ def area_metrics(
     model: PlacedModel,
     reference: ReferenceMap,
     poses: Array,
-    view: View = View(),  # noqa: B008 - an immutable value
+    view: View = ALL_AROUND,
 ) -> AreaMetrics | None:
     """Areas of the model against visited ones of the reference; None without areas in it.
 
@@ -156,7 +156,7 @@ def seen_part(area: ReferenceArea, reference: ReferenceMap, poses: Array, view: 
 
     Poses (N, 3) are in the reference's frame.
     """
-    import shapely  # noqa: PLC0415 - only map metrics need it
+    import shapely
 
     polygon = shape(area.polygon)
     xmin, ymin, xmax, ymax = polygon.bounds
@@ -179,7 +179,7 @@ def seen_part(area: ReferenceArea, reference: ReferenceMap, poses: Array, view: 
 
 def shape(polygon: Array) -> Any:
     """A polygon (m, 2) as a valid shapely geometry; nothing of fewer than three points."""
-    import shapely  # noqa: PLC0415 - only map metrics need it
+    import shapely
 
     if len(polygon) < 3:
         return shapely.Polygon()

@@ -9,7 +9,7 @@ import numpy as np
 
 from hiermap_cli.evaluation.matching import match_points
 from hiermap_cli.evaluation.measures import measured, ratio, rms
-from hiermap_cli.evaluation.visibility import View, in_sight
+from hiermap_cli.evaluation.visibility import ALL_AROUND, View, in_sight
 from hiermap_cli.evaluation.walls import segment_distances, solid_segments
 from hiermap_cli.mapping.model import Metric
 
@@ -123,13 +123,13 @@ def corner_metrics(
     model: PlacedModel,
     reference: ReferenceMap,
     views: Array,
-    view: View = View(),  # noqa: B008 - an immutable value
+    view: View = ALL_AROUND,
 ) -> CornerMetrics | None:
     """Corners of the model against those of the reference; None without walls in it.
 
-    Asked for are wall corners within 0.25 m of a visited area (all where the reference has no
-    areas) of which a pose in `views` (V, 3), in the reference's frame, sees the vertex and a
-    stretch of both walls. Corners of furniture are right when found, and not asked for.
+    Asked for are wall corners whose nearest area, within 0.25 m, was visited (all where the
+    reference has no areas) and of which a pose in `views` (V, 3), in the reference's frame,
+    sees the vertex and a stretch of both walls. Corners of furniture are right when found, and not asked for.
     """
     if reference.walls is None:
         return None
@@ -161,14 +161,14 @@ def _seen(
 
 
 def _in_visited(points: Array, reference: ReferenceMap) -> NDArray[np.bool_]:
-    """Which points (n,) lie in or within 0.25 m of a visited area."""
-    if reference.areas is None:
-        return np.ones(len(points), dtype=bool)
-    import shapely  # noqa: PLC0415 - only map metrics need it
+    """Which points (n,) belong to a visited area: the nearest one, within 0.25 m."""
+    if not reference.areas:
+        return np.full(len(points), reference.areas is None)
+    import shapely  # only map metrics need it
 
-    near = np.zeros(len(points), dtype=bool)
-    for area in reference.areas:
-        if area.visited:
-            polygon = shapely.make_valid(shapely.Polygon(area.polygon))
-            near |= shapely.distance(polygon, shapely.points(points)) <= CORNER_RADIUS
-    return near
+    outlines = [shapely.make_valid(shapely.Polygon(area.polygon)) for area in reference.areas]
+    distance = shapely.distance(np.array(outlines)[:, None], shapely.points(points)[None, :])
+    # Where a wall is a mere line, its corners belong to the areas on both sides.
+    belongs = (distance <= distance.min(axis=0) + _JOINED) & (distance <= CORNER_RADIUS)
+    visited = np.array([area.visited for area in reference.areas])
+    return np.asarray((belongs & visited[:, None]).any(axis=0), dtype=np.bool_)

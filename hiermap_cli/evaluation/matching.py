@@ -23,7 +23,7 @@ def match_points(found: Array, true: Array, radius: float) -> Pairs:
     """
     if len(found) == 0 or len(true) == 0:
         return np.zeros((0, 2), dtype=np.int64)
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - costs 0.2 s of start-up
+    from scipy.optimize import linear_sum_assignment
 
     distance = np.hypot(*np.moveaxis(found[:, None, :] - true[None, :, :], -1, 0))
     near = distance <= radius

@@ -31,6 +31,9 @@ class View(NamedTuple):
     field_of_view: float = 2.0 * math.pi
 
 
+ALL_AROUND = View()
+
+
 def viewpoints(poses: Array) -> Array:
     """Poses (V, 3) of a trajectory (N, 3), thinned to where the view changes."""
     if len(poses) == 0:
