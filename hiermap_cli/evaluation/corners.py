@@ -129,7 +129,8 @@ def corner_metrics(
 
     Asked for are wall corners whose nearest area, within 0.25 m, was visited (all where the
     reference has no areas) and of which a pose in `views` (V, 3), in the reference's frame,
-    sees the vertex and a stretch of both walls. Corners of furniture are right when found, and not asked for.
+    sees the vertex and a stretch of both walls. Corners of furniture are right when found, and
+    not asked for.
     """
     if reference.walls is None:
         return None
