@@ -1,0 +1,146 @@
+"""The whole journey of a robot: its legs, and what it must not touch on the way."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiermap_cli.geometry.se2 import between, compose
+from hiermap_cli.simulation.motion import Leg, drive
+from hiermap_cli.simulation.polygons import point_distances, within
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.simulation.plan import FloorPlan
+    from hiermap_cli.simulation.spec import WorldSpec
+
+    Array = NDArray[np.float64]
+
+_CHECK_EVERY = 4  # knots, some centimetres of the way
+_CHUNK = 256  # points checked at once against the faces near them
+
+
+@dataclass(frozen=True, slots=True)
+class Journey:
+    """Legs in order of time; `arrivals` (n, 2) seconds each way point is reached and left."""
+
+    legs: tuple[Leg, ...]
+    arrivals: Array
+
+    @property
+    def end(self) -> float:
+        """Seconds from the start to the end."""
+        return self.legs[-1].end
+
+    def poses(self, seconds: Array) -> Array:
+        """True poses (n, 3) of the robot in the world frame."""
+        out = self.legs[0].poses(seconds)
+        for leg in self.legs[1:]:
+            later = seconds >= leg.begin
+            out[later] = leg.poses(seconds[later])
+        return out
+
+    def increments(self, seconds: Array) -> Array:
+        """What the wheels turn between successive moments (n,): poses (n - 1, 3).
+
+        Being carried turns no wheel: only the motion within the legs counts.
+        """
+        total = np.zeros((len(seconds) - 1, 3))
+        for leg in self.legs:
+            poses = leg.poses(np.clip(seconds, leg.begin, leg.end))
+            total = compose(total, between(poses[:-1], poses[1:]))
+        return total
+
+
+def plan_journey(spec: WorldSpec, faults: list[str]) -> Journey | None:
+    """The journey through the way points of a world, lifts included; None where it has faults."""
+    start = np.array([*spec.way_points[0].at, _start_heading(spec)])
+    legs = [drive(start, spec.way_points, spec.robot)]
+    reached: list[Array] = []
+    todo = list(spec.way_points)
+    before = len(faults)
+    for index, lift in sorted(enumerate(spec.lifts), key=lambda item: item[1].at):
+        leg = legs[-1]
+        if not leg.begin < lift.at < leg.end:
+            faults.append(
+                f"lifts[{index}].at: the robot drives from {leg.begin:.1f} s to {leg.end:.1f} s"
+            )
+            continue
+        done = int(np.count_nonzero(leg.arrivals[:, 0] <= lift.at))
+        reached.append(np.minimum(leg.arrivals[:done], lift.at))
+        todo = todo[done:]
+        legs[-1] = _cut(leg, lift.at, 0.5 * lift.pause)
+        legs.append(
+            drive(np.array(lift.to), todo, spec.robot, legs[-1].end, stand=0.5 * lift.pause)
+        )
+    for index, bend in enumerate(spec.odometry.bends):
+        if bend.after + 1 >= len(spec.way_points):
+            faults.append(f"odometry.bends[{index}].after: no way point follows {bend.after}")
+    if len(faults) > before:
+        return None
+    return Journey(tuple(legs), np.vstack([*reached, legs[-1].arrivals]))
+
+
+def _start_heading(spec: WorldSpec) -> float:
+    if spec.robot.heading is not None:
+        return spec.robot.heading
+    x, y = spec.way_points[0].at
+    for point in spec.way_points[1:]:
+        if point.at != (x, y):
+            return math.atan2(point.at[1] - y, point.at[0] - x)
+    return 0.0
+
+
+def _cut(leg: Leg, at: float, stand: float) -> Leg:
+    """The leg up to `at`, and `stand` seconds where it is then."""
+    kept = leg.knots_t < at
+    s = float(np.interp(at, leg.knots_t, leg.knots_s))
+    return replace(
+        leg,
+        knots_t=np.array([*leg.knots_t[kept], at, at + stand]),
+        knots_s=np.array([*leg.knots_s[kept], s, s]),
+    )
+
+
+def check_journey(spec: WorldSpec, plan: FloorPlan, journey: Journey, faults: list[str]) -> None:
+    """Adds a fault for each way point or lift outside, and each way with a collision on it."""
+    places = {f"way_points[{k}].at": point.at for k, point in enumerate(spec.way_points)}
+    places |= {f"lifts[{k}].to": lift.to[:2] for k, lift in enumerate(spec.lifts)}
+    inside = plan.inside(np.array(list(places.values())))
+    faults.extend(
+        f"{place}: lies in no area and in no door"
+        for place, is_inside in zip(places, inside, strict=True)
+        if not is_inside
+    )
+    blamed: set[int] = set()
+    for seconds, points, clearance in _clearances(plan, journey):
+        for k in np.flatnonzero(clearance < spec.robot.radius):
+            target = int(np.searchsorted(journey.arrivals[:, 0], seconds[k]))
+            if target not in blamed:
+                x, y = points[k]
+                faults.append(
+                    f"way_points[{min(target, len(spec.way_points) - 1)}]: on the way there the "
+                    f"robot (radius {spec.robot.radius:g} m) comes within {clearance[k]:.2f} m of "
+                    f"something at ({x:.2f}, {y:.2f})"
+                )
+            blamed.add(target)
+
+
+def _clearances(plan: FloorPlan, journey: Journey) -> Iterator[tuple[Array, Array, Array]]:
+    """Moments (k,), positions (k, 2) and distances (k,) from the nearest face, in runs."""
+    faces = plan.faces()
+    reach = 1.0  # metres; what is farther is never too near
+    for leg in journey.legs:
+        moments = np.append(leg.knots_t[::_CHECK_EVERY], leg.end)
+        for first in range(0, len(moments), _CHUNK):
+            seconds = moments[first : first + _CHUNK]
+            points = leg.poses(seconds)[:, :2]
+            near = within(faces, points.min(axis=0) - reach, points.max(axis=0) + reach)
+            if near.any():
+                yield seconds, points, point_distances(points, faces[near]).min(axis=1)
