@@ -141,8 +141,7 @@ def test_nees_of_landmarks_goes_with_the_inverse_of_the_covariance() -> None:
             replace(
                 area,
                 landmarks=tuple(
-                    (name, replace(e, covariance=4.0 * e.covariance))
-                    for name, e in area.landmarks
+                    (name, replace(e, covariance=4.0 * e.covariance)) for name, e in area.landmarks
                 ),
             )
             for area in model.areas
@@ -179,6 +178,5 @@ def test_moved_points_keep_their_nees() -> None:
     )
 
 
-def test_position_sigma_is_the_worst_direction() -> None:
-    covariance = np.diag([0.01, 0.04, 9.0])
-    assert position_sigmas(covariance[None]) == pytest.approx([0.2])
+def test_position_sigma_is_over_both_axes() -> None:
+    assert position_sigmas(np.diag([0.09, 0.16, 9.0])[None]) == pytest.approx([0.5])

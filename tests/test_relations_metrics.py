@@ -64,7 +64,7 @@ def test_names_and_units_of_the_metrics() -> None:
         ("relations_trans_std", "m"),
         ("relations_rot_mean", "rad"),
         ("relations_rot_std", "rad"),
-        ("relations_missing", "relations"),
+        ("relations_missing", "1"),
     ]
 
 

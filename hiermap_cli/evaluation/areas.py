@@ -62,9 +62,9 @@ class AreaMetrics(NamedTuple):
     def metrics(self) -> tuple[Metric, ...]:
         """The figures under the names of eval.json, those that could be measured."""
         return measured(
-            Metric("area_precision", "", self.precision, self.found),
-            Metric("area_recall", "", self.recall, self.seen),
-            Metric("area_f1_iou50", "", self.f1_iou50, self.found + self.asked),
+            Metric("area_precision", "1", self.precision, self.found),
+            Metric("area_recall", "1", self.recall, self.seen),
+            Metric("area_f1_iou50", "1", self.f1_iou50, self.found + self.asked),
         )
 
 
@@ -79,8 +79,8 @@ class TopologyMetrics(NamedTuple):
     def metrics(self) -> tuple[Metric, ...]:
         """The figures under the names of eval.json, those that could be measured."""
         return measured(
-            Metric("topology_precision", "", self.precision, self.found),
-            Metric("topology_recall", "", self.recall, self.asked),
+            Metric("topology_precision", "1", self.precision, self.found),
+            Metric("topology_recall", "1", self.recall, self.asked),
         )
 
 

@@ -48,7 +48,7 @@ class Nees(NamedTuple):
 
     def metrics(self, name: str) -> tuple[Metric, ...]:
         """The figure under its name in eval.json; nothing where it was not measured."""
-        return () if self.n == 0 else (Metric(name, "", self.mean, self.n),)
+        return () if self.n == 0 else (Metric(name, "1", self.mean, self.n),)
 
 
 def nees_values(errors: Array, covariances: Array) -> Array:
@@ -161,9 +161,9 @@ def door_faces(door: ReferenceDoor, reference: ReferenceMap) -> list[Array]:
 
 
 def position_sigmas(covariances: Array) -> Array:
-    """Standard deviation (N,) of the position along its worst direction, of (N, 3, 3)."""
-    largest = np.asarray(np.linalg.eigvalsh(covariances[:, :2, :2])[:, 1], dtype=np.float64)
-    return np.asarray(np.sqrt(np.maximum(largest, 0.0)))
+    """Deviation (N,) of the position over both axes, the root of the trace, of (N, 3, 3)."""
+    trace = covariances[:, 0, 0] + covariances[:, 1, 1]
+    return np.asarray(np.sqrt(np.maximum(trace, 0.0)), dtype=np.float64)
 
 
 def _mean(values: Array) -> Nees:

@@ -113,8 +113,8 @@ class CornerMetrics(NamedTuple):
     def metrics(self) -> tuple[Metric, ...]:
         """The figures under the names of eval.json, those that could be measured."""
         return measured(
-            Metric("corner_precision", "", self.precision, self.found),
-            Metric("corner_recall", "", self.recall, self.asked),
+            Metric("corner_precision", "1", self.precision, self.found),
+            Metric("corner_recall", "1", self.recall, self.asked),
             Metric("corner_rmse", "m", self.rmse, self.matched),
         )
 

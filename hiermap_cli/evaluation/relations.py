@@ -40,7 +40,7 @@ class RelationMetrics(NamedTuple):
 
     def metrics(self) -> tuple[Metric, ...]:
         """The figures under the names of eval.json; only the missing ones where none was used."""
-        missing = Metric("relations_missing", "relations", float(self.missing), self.n)
+        missing = Metric("relations_missing", "1", float(self.missing), self.n)
         if self.n == 0:
             return (missing,)
         return (

@@ -33,7 +33,7 @@ class WallMetrics(NamedTuple):
         """The figures under the names of eval.json, those that could be measured."""
         return measured(
             Metric("wall_rmse", "m", self.rmse, self.near),
-            Metric("wall_outliers", "", self.outliers, self.ends),
+            Metric("wall_outliers", "1", self.outliers, self.ends),
         )
 
 
