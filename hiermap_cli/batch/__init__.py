@@ -1,0 +1,1 @@
+"""One log into one folder of results, and many of them."""

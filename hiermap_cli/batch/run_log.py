@@ -1,0 +1,187 @@
+"""One log into one folder of results: the body of `hiermap run`, and of every job of a batch."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiermap_cli.documents.folder import check_output, output_folder
+from hiermap_cli.documents.report_file import report_json
+from hiermap_cli.documents.results import REPORT, write_result
+from hiermap_cli.logs.expected import expected_scans
+from hiermap_cli.logs.recording import open_recording
+from hiermap_cli.mapping.metrics import model_metrics, trajectory_metrics
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import Config
+    from hiermap_cli.logs.records import ScanBlock
+    from hiermap_cli.mapping.model import Event, MapResult, Metric
+
+ENDING = ".hiermap"
+_LOG_ENDINGS = {".gz", ".bz2", ".mcap", ".bag", ".db3", ".carmen", ".clf", ".log", ".txt", ".dat"}
+
+
+class Observer:
+    """Is told how a run goes; does nothing by itself."""
+
+    wants_total = False  # counting the scans beforehand costs a look through a text log
+
+    def opened(self, log: str, scans: int | None) -> None:
+        """The log can be read; `scans` is about how many there are, if that is known."""
+
+    def warned(self, warning: str) -> None:
+        """Something about the input that a person should know."""
+
+    def advanced(self, scans: int) -> None:
+        """So many more scans have been worked off."""
+
+    def entered(self, stage: str) -> None:
+        """A stage begins that is not counted in scans."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunOutcome:
+    """What a run left: the folder, and what its report says.
+
+    metrics: in the order of the report; events: in the order of time; timing: seconds by stage.
+    """
+
+    output: Path
+    log: str
+    scans: int
+    metrics: tuple[Metric, ...]
+    events: tuple[Event, ...]
+    timing: dict[str, float]
+    warnings: tuple[str, ...]
+
+    def values(self) -> dict[str, float]:
+        """The metrics by name."""
+        return {metric.name: metric.value for metric in self.metrics}
+
+
+def default_output(log: Path) -> Path:
+    """The log's own path with the ending .hiermap instead of its own."""
+    while log.suffix.lower() in _LOG_ENDINGS:
+        log = log.with_suffix("")
+    return log.with_name(log.name + ENDING)
+
+
+def run_log(
+    paths: Sequence[Path],
+    config: Config,
+    output: Path,
+    *,
+    force: bool = False,
+    observer: Observer | None = None,
+) -> RunOutcome:
+    """Reads a log (one file, a folder, or the parts of a split one), maps it, writes `output`.
+
+    Raises:
+        InputError: the log cannot be used.
+        UsageError: `output` exists and `force` is not given, or cannot be written.
+        OutputError: the disk is full.
+    """
+    from hiermap_cli.mapping.mapper import map_log
+
+    observer = observer or Observer()
+    clock = _Clock()
+    check_output(output, force=force, inputs=paths)
+    recording = open_recording(paths, config.input)
+    total = expected_scans(recording) if observer.wants_total else None
+    observer.opened(recording.log, total)
+    for warning in recording.plan.warnings:
+        observer.warned(warning)
+    clock.lap("open")
+    watched = _Watched(observer)
+    result = map_log(watched.through(recording.blocks()), config)
+    timing = {**clock.laps, "read": watched.seconds, **result.timing}
+    clock.lap("map")
+    observer.entered("writing")
+    source = recording.report()
+    late = (*source.warnings[len(recording.plan.warnings) :], *source.lost)
+    for warning in late:
+        observer.warned(warning)
+    metrics = _all_metrics(result, watched.odometry())
+    with output_folder(output, force=force, inputs=paths) as folder:
+        write_result(folder, result)
+        clock.lap("write")
+        timing |= {"write": clock.laps["write"], "total": clock.total()}
+        dropped = dict(source.dropped)
+        for reason, count in result.dropped.items():
+            dropped[reason] = dropped.get(reason, 0) + count
+        report = report_json(
+            source={**asdict(source), "dropped": dropped},
+            config=config,
+            metrics=metrics,
+            events=result.events,
+            timing=timing,
+        )
+        (folder / REPORT).write_bytes(report)
+    return RunOutcome(
+        output=Path(output),
+        log=source.log,
+        scans=source.scans,
+        metrics=metrics,
+        events=result.events,
+        timing=timing,
+        warnings=(*recording.plan.warnings, *late),
+    )
+
+
+class _Clock:
+    """Seconds between laps."""
+
+    def __init__(self) -> None:
+        self._begin = self._last = time.perf_counter()
+        self.laps: dict[str, float] = {}
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps[name] = now - self._last
+        self._last = now
+
+    def total(self) -> float:
+        return time.perf_counter() - self._begin
+
+
+class _Watched:
+    """Passes blocks on, and keeps what the report needs of them: odometry and reading time."""
+
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+        self._odometry: list[NDArray[np.float64]] = []
+        self.seconds = 0.0
+
+    def through(self, blocks: Iterable[ScanBlock]) -> Iterator[ScanBlock]:
+        """The blocks; one is counted as worked off when the next is asked for."""
+        iterator = iter(blocks)
+        while True:
+            begin = time.perf_counter()
+            block = next(iterator, None)
+            self.seconds += time.perf_counter() - begin
+            if block is None:
+                break
+            self._odometry.append(block.odometry)
+            yield block
+            self._observer.advanced(len(block))
+        self._observer.entered("refining")
+
+    def odometry(self) -> NDArray[np.float64]:
+        """The odometry of every scan, (N, 3)."""
+        return np.concatenate(self._odometry) if self._odometry else np.zeros((0, 3))
+
+
+def _all_metrics(result: MapResult, odometry: NDArray[np.float64]) -> tuple[Metric, ...]:
+    """The estimator's own figures, and those that its result shows; the estimator's go first."""
+    counted = model_metrics(result.model)
+    measured = trajectory_metrics(result.trajectory, result.trajectory_filter, odometry)
+    known = {metric.name for metric in result.metrics}
+    return (*result.metrics, *(m for m in (*counted, *measured) if m.name not in known))

@@ -1,0 +1,204 @@
+"""What a person sees of a run on stderr: a progress bar on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import click
+
+from hiermap_cli.batch.run_log import Observer
+from hiermap_cli.commands.boundary import one_line
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from hiermap_cli.batch.run_log import RunOutcome
+
+_LINE_EVERY = 10.0  # seconds between progress lines where there is no terminal
+
+
+class Display(Observer):
+    """An observer that can be closed, and that shows the outcome at the end."""
+
+    def __enter__(self) -> Display:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Takes away what moves; said again without harm."""
+
+    def finish(self, outcome: RunOutcome) -> None:
+        """Shows the summary."""
+
+
+def make_display(*, quiet: bool) -> Display:
+    """The display that fits where stderr goes."""
+    if quiet:
+        return Display()
+    return TerminalDisplay() if sys.stderr.isatty() else PlainDisplay()
+
+
+class PlainDisplay(Display):
+    """Lines, for a file or a pipe: few, and without control characters."""
+
+    def __init__(self) -> None:
+        self._done = 0
+        self._begin = self._last = time.monotonic()
+
+    def warned(self, warning: str) -> None:
+        """One line."""
+        _line(f"warning: {one_line(warning)}")
+
+    def advanced(self, scans: int) -> None:
+        """A line now and then in long runs."""
+        self._done += scans
+        now = time.monotonic()
+        if now - self._last >= _LINE_EVERY:
+            self._last = now
+            rate = self._done / (now - self._begin)
+            _line(f"{self._done} scans done, {rate:.0f} a second")
+
+    def finish(self, outcome: RunOutcome) -> None:
+        """A line per row of the summary."""
+        for name, value in summary_rows(outcome):
+            _line(f"{name}: {value}")
+
+
+class TerminalDisplay(Display):
+    """A progress bar with rate and time left, then a table."""
+
+    wants_total = True
+
+    def __init__(self) -> None:
+        from rich.console import Console
+
+        self._console: Console = Console(stderr=True, highlight=False, markup=False)
+        self._progress: Progress | None = None
+
+    def opened(self, log: str, scans: int | None) -> None:
+        """Starts the bar."""
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeRemainingColumn,
+        )
+
+        self._progress = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}", markup=False),
+            TimeRemainingColumn(),
+            console=self._console,
+            transient=True,
+        )
+        self._progress.start()
+        self._task = self._progress.add_task(one_line(log), total=scans, rate="")
+
+    def warned(self, warning: str) -> None:
+        """A line above the bar."""
+        self._console.print(f"warning: {one_line(warning)}", style="yellow")
+
+    def advanced(self, scans: int) -> None:
+        """Moves the bar on."""
+        if self._progress is not None:
+            task = self._progress.tasks[0]
+            speed = f"{task.speed:.0f} scans/s" if task.speed else ""
+            self._progress.update(self._task, advance=scans, rate=speed)
+
+    def entered(self, stage: str) -> None:
+        """Says what goes on once the scans are through."""
+        if self._progress is not None:
+            self._progress.update(self._task, description=stage)
+
+    def close(self) -> None:
+        """Removes the bar."""
+        if self._progress is not None:
+            self._progress.stop()
+            self._progress = None
+
+    def finish(self, outcome: RunOutcome) -> None:
+        """The summary as a table."""
+        from rich.box import SIMPLE_HEAD
+        from rich.table import Table
+
+        self.close()
+        table = Table(box=SIMPLE_HEAD, show_header=False, title=outcome.log, title_justify="left")
+        table.add_column(style="bold", no_wrap=True)
+        table.add_column(overflow="fold")
+        for name, value in summary_rows(outcome):
+            table.add_row(name, value)
+        self._console.print(table)
+
+
+def _line(text: str) -> None:
+    click.echo(text, err=True)
+
+
+def summary_rows(outcome: RunOutcome) -> list[tuple[str, str]]:
+    """The summary of a run as names and values, for any display."""
+    values = outcome.values()
+    kinds = {
+        name.removeprefix("landmarks_"): int(value)
+        for name, value in values.items()
+        if name.startswith("landmarks_") and name != "landmarks_forgotten"
+    }
+    by_kind = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+    rows = [
+        ("scans", str(outcome.scans)),
+        ("areas", _areas(values)),
+        ("landmarks", _count(values, "landmarks") + (f": {by_kind}" if by_kind else "")),
+        ("doors", f"{_count(values, 'doors')}, crossed {_count(values, 'door_crossings')} times"),
+        ("matches", _count(values, "matches")),
+        ("failures", _failures(values)),
+        ("odometry error corrected", _correction(values)),
+        ("time", _time(outcome)),
+        ("results", str(outcome.output)),
+    ]
+    return [(name, value) for name, value in rows if value]
+
+
+def _count(values: dict[str, float], name: str) -> str:
+    return str(int(values[name])) if name in values else ""
+
+
+def _areas(values: dict[str, float]) -> str:
+    parts = [f"{int(values[name])} {name}" for name in ("rooms", "corridors") if values.get(name)]
+    return _count(values, "areas") + (f": {', '.join(parts)}" if parts else "")
+
+
+def _failures(values: dict[str, float]) -> str:
+    count = _count(values, "matching_failures")
+    return f"{count} scans that matched nothing known" if count else ""
+
+
+def _correction(values: dict[str, float]) -> str:
+    if "odometry_correction_end" not in values:
+        return ""
+    turn = math.degrees(values["odometry_correction_end_rot"])
+    return (
+        f"{values['odometry_correction_end']:.2f} m and {turn:.1f} deg at the end, "
+        f"{values['odometry_correction_max']:.2f} m at most, "
+        f"on {values['path_length']:.0f} m"
+    )
+
+
+def _time(outcome: RunOutcome) -> str:
+    seconds = outcome.timing["total"]
+    each = f", {1e3 * seconds / outcome.scans:.2f} ms a scan" if outcome.scans else ""
+    return f"{seconds:.1f} s{each}"
