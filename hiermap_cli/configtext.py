@@ -6,7 +6,6 @@ read and to change. Reading the text back gives the same configuration.
 
 from __future__ import annotations
 
-import json
 import re
 import textwrap
 import types
@@ -118,4 +117,15 @@ def _value(value: Any) -> str:
         return "{" + ", ".join(f"{_value(k)}: {_value(v)}" for k, v in value.items()) + "}"
     text = str(value)
     plain = _PLAIN.fullmatch(text) and text.lower() not in _WORDS_OF_YAML
-    return text if plain else json.dumps(text)
+    return text if plain else _quoted(text)
+
+
+def _quoted(text: str) -> str:
+    """A double-quoted YAML scalar."""
+    return '"' + "".join(_escaped(c) for c in text) + '"'
+
+
+def _escaped(c: str) -> str:
+    if c in '"\\':
+        return "\\" + c
+    return c if c.isprintable() else f"\\U{ord(c):08x}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import click
 
@@ -26,7 +26,7 @@ _LINE_EVERY = 10.0  # seconds between progress lines where there is no terminal
 class Display(Observer):
     """An observer that can be closed, and that shows the outcome at the end."""
 
-    def __enter__(self) -> Display:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
