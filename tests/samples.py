@@ -1,9 +1,14 @@
-"""A small model as values: two areas, a door between them, four landmarks."""
+"""A small model as values and as files: two areas, a door between them, four landmarks."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from hiermap_cli.config import Config
+from hiermap_cli.documents.report_file import report_json
+from hiermap_cli.documents.results import write_result
 from hiermap_cli.geometry.se2 import compose
 from hiermap_cli.mapping.model import (
     AreaModel,
@@ -19,6 +24,9 @@ from hiermap_cli.mapping.model import (
     SegmentFeature,
     Trajectory,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def covariance(rng: np.random.Generator, size: int, scale: float = 0.01) -> np.ndarray:
@@ -129,3 +137,42 @@ def sample_result(count: int = 50) -> MapResult:
         timing={"segmentation": 0.1, "filter": 0.4},
         dropped={"too_far": 2},
     )
+
+
+def report_of(result, **changes):
+    source = {
+        "log": "a.mcap",
+        "sha256": "0" * 64,
+        "scan_topic": "/scan",
+        "odometry_topic": "/odom",
+        "scans": 50,
+        "odometry": 100,
+        "dropped": {"repeated_stamp": 1},
+    }
+    values = {
+        "source": source | changes.pop("source", {}),
+        "config": Config(),
+        "metrics": result.metrics,
+        "events": result.events,
+        "timing": result.timing,
+    }
+    return report_json(**(values | changes))
+
+
+def write_sample(folder: Path) -> Path:
+    """Every file of a run, with the sample in them."""
+    result = sample_result()
+    write_result(folder, result)
+    (folder / "report.json").write_bytes(report_of(result))
+    return folder
+
+
+def same(a, b) -> bool:
+    """Equal values, arrays included, bit for bit."""
+    if isinstance(a, np.ndarray):
+        return a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    if hasattr(a, "__dataclass_fields__"):
+        return all(same(getattr(a, f), getattr(b, f)) for f in a.__dataclass_fields__)
+    return a == b
