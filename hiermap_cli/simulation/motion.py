@@ -93,6 +93,8 @@ class _Route:
 
     def turn_to(self, heading: float) -> None:
         angle = math.remainder(heading - float(self.pose[2]), 2.0 * math.pi)
+        if angle < _LEAST_TURN - math.pi:  # a turn right round goes left, whatever the last bit
+            angle = math.pi
         self.lay(abs(angle), (0.0, 0.0, math.copysign(1.0, angle)))
 
 

@@ -84,14 +84,19 @@ class FloorPlan:
         """Everything that the laser can see, (W + F, 4)."""
         return np.vstack((self.walls, self.furniture))
 
-    def inside(self, points: Array) -> NDArray[np.bool_]:
-        """Whether points (m, 2) lie in an area, a door's opening or a porch."""
+    def indoors(self, points: Array) -> NDArray[np.bool_]:
+        """Whether points (m, 2) lie in an area or in a door's opening."""
         found = np.zeros(len(points), dtype=bool)
-        polygons = [area.inside for area in self.areas]
-        for door in self.doors:
-            polygons += [door.opening] if door.porch is None else [door.opening, door.porch]
-        for polygon in polygons:
+        for polygon in (*(a.inside for a in self.areas), *(d.opening for d in self.doors)):
             found |= contains(polygon, points)
+        return found
+
+    def inside(self, points: Array) -> NDArray[np.bool_]:
+        """Whether points (m, 2) lie indoors or in the porch of an outer door."""
+        found = self.indoors(points)
+        for door in self.doors:
+            if door.porch is not None:
+                found |= contains(door.porch, points)
         return found
 
 
@@ -152,11 +157,14 @@ def _areas(spec: WorldSpec, faults: list[str]) -> list[Area]:
             faults.append(f"{place}: nothing is left inside walls of {2.0 * half:g} m")
             continue
         areas.append(Area(entry.id, entry.kind, inside, middle, outer))
+    low = np.array([area.inside.min(axis=0) for area in areas]).reshape(-1, 2)
+    high = np.array([area.inside.max(axis=0) for area in areas]).reshape(-1, 2)
     for i, area in enumerate(areas):
+        near = (low[:i] <= high[i]).all(axis=1) & (high[:i] >= low[i]).all(axis=1)
         faults.extend(
-            f"areas: '{other.id}' and '{area.id}' overlap"
-            for other in areas[:i]
-            if _overlap(area.inside, other.inside)
+            f"areas: '{areas[j].id}' and '{area.id}' overlap"
+            for j in np.flatnonzero(near)
+            if _overlap(area.inside, areas[j].inside)
         )
     return areas
 
@@ -168,8 +176,6 @@ def _turned(before: Array, after: Array) -> bool:
 
 
 def _overlap(a: Array, b: Array) -> bool:
-    if (a.max(axis=0) < b.min(axis=0)).any() or (b.max(axis=0) < a.min(axis=0)).any():
-        return False
     if np.isfinite(crossings(edges(a), edges(b))).any():
         return True
     return bool(contains(a, b[:1])[0] or contains(b, a[:1])[0])
@@ -277,6 +283,8 @@ def _furniture(
 ) -> list[Array]:
     """Outlines (n, 2) of the furniture, counterclockwise, each inside one area."""
     out = []
+    low = np.array([area.inside.min(axis=0) for area in areas])
+    high = np.array([area.inside.max(axis=0) for area in areas])
     for index, entry in enumerate(entries):
         place = f"furniture[{index}]"
         if not _sound_shape(entry, place, faults):
@@ -286,12 +294,16 @@ def _furniture(
         c, s = np.cos(entry.turn), np.sin(entry.turn)
         corners = (corners - centre) @ np.array([[c, s], [-s, c]]) + centre
         slim = centre + (corners - centre) * (1.0 - 1e-4)  # what only touches a wall is inside
-        if not any(
-            contains(area.inside, slim).all()
-            and not np.isfinite(crossings(edges(slim), edges(area.inside))).any()
-            for area in areas
-        ):
+        boxed = (low <= slim.min(axis=0)).all(axis=1) & (high >= slim.max(axis=0)).all(axis=1)
+        if not any(_holds(areas[int(k)].inside, slim) for k in np.flatnonzero(boxed)):
             faults.append(f"{place}: does not stand inside one area")
             continue
         out.append(corners)
     return out
+
+
+def _holds(area: Array, corners: Array) -> bool:
+    """Whether a polygon lies wholly inside an area."""
+    if not contains(area, corners).all():
+        return False
+    return not np.isfinite(crossings(edges(corners), edges(area))).any()
