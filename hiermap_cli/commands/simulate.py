@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -18,7 +19,13 @@ import click
     type=click.Path(path_type=Path),
     help="Folder to write log.mcap, truth.tum and reference.json into.",
 )
-@click.option("--seed", default=1, show_default=True, type=click.IntRange(min=0))
+@click.option(
+    "--seed",
+    default=1,
+    show_default=True,
+    type=click.IntRange(min=0),
+    help="Of everything that happens by chance.",
+)
 @click.option(
     "--noise",
     type=click.Choice(["world", "none"]),
@@ -44,20 +51,24 @@ def command(
     import numpy as np
 
     from hiermap_cli.documents.folder import output_folder
-    from hiermap_cli.simulation.output import LOG, REFERENCE, TRUTH, write
+    from hiermap_cli.simulation.output import FILES, write
     from hiermap_cli.simulation.simulator import simulate
     from hiermap_cli.simulation.world import load_world
 
     floor = load_world(world)
-    with output_folder(output, force=force, marks=(LOG, TRUTH, REFERENCE), inputs=(world,)) as new:
+    with output_folder(output, force=force, marks=FILES, inputs=(world,)) as folder:
         rng = np.random.default_rng(seed)
         simulation = simulate(floor, rng, noiseless=noiseless or noise == "none")
-        write(simulation, new)
+        scans = len(simulation.stamps_ns)
+        if quiet or not sys.stderr.isatty():
+            write(simulation, folder)
+        else:
+            with click.progressbar(length=scans, label="scans", file=sys.stderr) as bar:
+                write(simulation, folder, bar.update)
     if not quiet:
         seconds = 1e-9 * float(simulation.stamps_ns[-1] - simulation.stamps_ns[0])
         click.echo(
-            f"{output}: {len(simulation.stamps_ns)} scans, {len(simulation.odometry_ns)} odometry "
-            f"readings, {seconds:.1f} s, {len(floor.plan.areas)} areas, "
-            f"{len(floor.plan.doors)} doors",
+            f"{output}: {scans} scans, {len(simulation.odometry_ns)} odometry readings, "
+            f"{seconds:.1f} s, {len(floor.plan.areas)} areas, {len(floor.plan.doors)} doors",
             err=True,
         )

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import pydantic_core
-
-from hiermap_cli.documents.trajectories import write_tum
+from hiermap_cli.documents.truth import REFERENCE, TRUTH, write_truth
 from hiermap_cli.logs.mcap_writer import RosMcapWriter
 
 if TYPE_CHECKING:
@@ -16,8 +14,7 @@ if TYPE_CHECKING:
     from hiermap_cli.simulation.simulator import Simulation
 
 LOG = "log.mcap"
-TRUTH = "truth.tum"
-REFERENCE = "reference.json"
+FILES = (LOG, TRUTH, REFERENCE)
 
 
 def write(
@@ -34,12 +31,9 @@ def write(
         progress: told the number of scans written, after each block.
 
     Raises:
-        OSError: the files cannot be written.
+        OutputError, OSError: the files cannot be written.
     """
-    with (directory / TRUTH).open("w", encoding="ascii", newline="\n") as file:
-        write_tum(file, simulation.stamps_ns, simulation.truth)
-    document = pydantic_core.to_json(simulation.reference, indent=1) + b"\n"
-    (directory / REFERENCE).write_bytes(document)
+    write_truth(directory, simulation.stamps_ns, simulation.truth, simulation.reference_map)
     stamps_ns, odometry = simulation.odometry_ns.tolist(), simulation.odometry
     reading = 0
     with RosMcapWriter(directory / LOG, mount=simulation.world.stated_mount) as writer:

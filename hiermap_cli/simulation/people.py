@@ -57,7 +57,9 @@ def walk(
         robot_radius: metres.
         rng: the only source of chance.
     """
-    faces = plan.faces()
+    # Nobody leaves the building.
+    exits = [np.concatenate((door.p1, door.p2)) for door in plan.doors if door.porch is not None]
+    faces = np.vstack((plan.faces(), *exits))
     reach = spec.radius + _MARGIN
     keep_off = spec.radius + robot_radius + _COMFORT
     at = _places(plan, faces, spec, reach, rng)

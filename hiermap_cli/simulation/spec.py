@@ -197,11 +197,11 @@ class WorldSpec(Section):
     version: tuple[Literal[1], int] = (1, 0)
     name: str = Field("world", max_length=200)
     wall_thickness: Positive = Field(0.15, le=1.0)
-    areas: tuple[AreaSpec, ...] = Field(min_length=1)
+    areas: tuple[AreaSpec, ...]
     doors: tuple[DoorSpec, ...] = ()
     walls: tuple[WallSpec, ...] = ()
     furniture: tuple[FurnitureSpec, ...] = ()
-    way_points: tuple[WayPointSpec, ...] = Field(min_length=1)
+    way_points: tuple[WayPointSpec, ...]
     start: NonNegative = Field(1000.0, description="stamp of the first scan in seconds")
     robot: RobotSpec = RobotSpec()
     laser: LaserSpec = LaserSpec()
@@ -219,3 +219,10 @@ class WorldSpec(Section):
             )
             return {**data, "way_points": points}
         return data
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> WorldSpec:
+        for name, entries in (("areas", self.areas), ("way_points", self.way_points)):
+            if not entries:
+                raise ValueError(f"{name} is empty: a world needs at least one")
+        return self
