@@ -19,7 +19,7 @@ import numpy as np
 
 from hiermap_cli.evaluation.matching import match_largest
 from hiermap_cli.evaluation.measures import measured, ratio
-from hiermap_cli.evaluation.visibility import ALL_AROUND, View, star, viewpoints
+from hiermap_cli.evaluation.visibility import ALL_AROUND, View, spread, star, viewpoints
 from hiermap_cli.evaluation.walls import solid_segments
 from hiermap_cli.mapping.model import Metric
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_WHOLE = 0.999  # of an area: once so much was seen, later poses add nothing
+_CRUMB = 1e-4  # square metres that no longer count as unseen
 
 
 class AreaMatch(NamedTuple):
@@ -168,13 +168,15 @@ def seen_part(area: ReferenceArea, reference: ReferenceMap, poses: Array, view: 
     inside = shapely.contains_xy(polygon, poses[:, 0], poses[:, 1])
     # Beyond the diagonal there is nothing of the area: rays end there at the latest.
     reach = min(view.reach, 1.0 + float(np.hypot(xmax - xmin, ymax - ymin)))
-    seen = shapely.Polygon()
-    for batch in np.array_split(stars := viewpoints(poses[inside]), max(1, len(stars) // 20)):
-        parts = [shape(star(pose, blockers, View(reach, view.field_of_view))) for pose in batch]
-        seen = shapely.union_all([seen, *parts]).intersection(polygon)
-        if seen.area >= _WHOLE * polygon.area:
+    unseen = polygon
+    # What is left shrinks fast: taking stars away costs far less than joining them.
+    for pose in np.concatenate(spread(viewpoints(poses[inside]), 12) or [poses[:0]]):
+        left = unseen.difference(shape(star(pose, blockers, View(reach, view.field_of_view))))
+        parts = shapely.get_parts(left)
+        unseen = shapely.multipolygons(parts[shapely.area(parts) > _CRUMB])
+        if unseen.area <= _CRUMB:
             break
-    return seen
+    return polygon.difference(unseen)
 
 
 def shape(polygon: Array) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hiermap_cli.evaluation.matching import match_points
 from hiermap_cli.evaluation.measures import measured, ratio, rms
-from hiermap_cli.evaluation.visibility import ALL_AROUND, View, in_sight
+from hiermap_cli.evaluation.visibility import ALL_AROUND, View, in_sight, spread
 from hiermap_cli.evaluation.walls import segment_distances, solid_segments
 from hiermap_cli.mapping.model import Metric
 
@@ -32,6 +32,10 @@ class ReferenceCorners(NamedTuple):
 
     points: Array
     sides: Array
+
+    def select(self, chosen: NDArray[np.bool_]) -> ReferenceCorners:
+        """The corners where `chosen` (c,) is True."""
+        return ReferenceCorners(self.points[chosen], self.sides[chosen])
 
 
 def end_corners(segments: Array) -> ReferenceCorners:
@@ -137,7 +141,8 @@ def corner_metrics(
     walls = wall_corners(reference)
     true = np.concatenate((walls.points, furniture_corners(reference)))
     pairs = match_points(model.corners.points, true, CORNER_RADIUS)
-    asked = _seen(walls, reference, views, view) & _in_visited(walls.points, reference)
+    asked = _in_visited(walls.points, reference)
+    asked[asked] = _seen(walls.select(asked), reference, views, view)
     recalled = asked[pairs[pairs[:, 1] < len(asked), 1]]
     error = model.corners.points[pairs[:, 0]] - true[pairs[:, 1]]
     return CornerMetrics(
@@ -155,10 +160,14 @@ def _seen(
 ) -> NDArray[np.bool_]:
     """Which corners (c,) are in sight with both their walls from one of the poses."""
     obstacles = solid_segments(reference)
-    seen = in_sight(views, corners.points, obstacles, view)
-    for side in (0, 1):
-        seen = seen & in_sight(views, corners.sides[:, side], obstacles, view)
-    return np.asarray(seen.any(axis=0), dtype=np.bool_)
+    known = np.zeros(len(corners.points), dtype=bool)
+    for batch in spread(views, 40):
+        rest = corners.select(~known)
+        seen = in_sight(batch, rest.points, obstacles, view)
+        for side in (0, 1):
+            seen = seen & in_sight(batch, rest.sides[:, side], obstacles, view)
+        known[~known] = seen.any(axis=0)
+    return known
 
 
 def _in_visited(points: Array, reference: ReferenceMap) -> NDArray[np.bool_]:

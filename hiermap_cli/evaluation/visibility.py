@@ -47,6 +47,15 @@ def viewpoints(poses: Array) -> Array:
     return poses[kept]
 
 
+def spread(poses: Array, size: int) -> list[Array]:
+    """Poses (V, 3) in batches of about `size`, each spread over the whole trajectory.
+
+    The first batch sees nearly everything, so that the rest is for what is still unseen.
+    """
+    batches = -(-len(poses) // size)
+    return [poses[begin::batches] for begin in range(batches)]
+
+
 def in_sight(
     views: Array, targets: Array, blockers: Array, view: View, margin: float = 0.02
 ) -> NDArray[np.bool_]:
@@ -102,14 +111,21 @@ def star(pose: Array, blockers: Array, view: View) -> Array:
     half = 0.5 * view.field_of_view
     # A ray to an end stops there; those beside it pass.
     angles = wrap(np.concatenate((bearing - 1e-6, bearing, bearing + 1e-6)))
-    regular = np.linspace(-half, half, 73)
-    angles = np.unique(np.concatenate((angles[np.abs(angles) <= half], regular)))
+    angles = np.unique(np.concatenate((angles[np.abs(angles) <= half], (-half, half))))
+    reach = _reach(pose, angles, blockers, view.reach)
+    if (reach == view.reach).any():  # the arc between rays that end by the reach alone
+        angles = np.union1d(angles, np.linspace(-half, half, 73))
+        reach = _reach(pose, angles, blockers, view.reach)
     heading = angles + pose[2]
-    directions = np.column_stack((np.cos(heading), np.sin(heading)))
-    reach = np.minimum(
-        first_hits(np.broadcast_to(pose[:2], directions.shape), directions, blockers), view.reach
-    )
-    polygon: Array = pose[:2] + reach[:, None] * directions
+    polygon: Array = pose[:2] + reach[:, None] * np.column_stack((np.cos(heading), np.sin(heading)))
     if view.field_of_view >= 2.0 * math.pi - 1e-9:
         return polygon
     return np.concatenate((pose[None, :2], polygon))
+
+
+def _reach(pose: Array, angles: Array, blockers: Array, farthest: float) -> Array:
+    """How far rays at angles (K,) from a pose's heading go, (K,)."""
+    heading = angles + pose[2]
+    directions = np.column_stack((np.cos(heading), np.sin(heading)))
+    origins = np.broadcast_to(pose[:2], directions.shape)
+    return np.minimum(first_hits(origins, directions, blockers), farthest)

@@ -23,7 +23,6 @@ import numpy as np
 
 from hiermap_cli.config import Config
 from hiermap_cli.configfile import load_config
-from hiermap_cli.mapping.mapper import map_log
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -103,6 +102,8 @@ class Watched:
 
 def measure(name: str, config: Config, seed: int = 0) -> dict[str, Any]:
     """Makes the map of a real log or world and judges it."""
+    from hiermap_cli.mapping.mapper import map_log
+
     if name in REAL_LOGS:
         from hiermap_cli.logs.recording import open_recording
 
@@ -114,7 +115,7 @@ def measure(name: str, config: Config, seed: int = 0) -> dict[str, Any]:
 
         world = load_world(DATASETS / f"{name}.yaml")
         simulation = simulate(world, np.random.default_rng(seed))
-        watched = Watched(simulation.blocks())
+        watched = Watched(list(simulation.blocks()))  # simulated before the clock starts
     made = time.process_time() if name not in REAL_LOGS else 0.0
     result = map_log(watched, config)
     seconds = time.process_time() - made
@@ -225,7 +226,7 @@ def _judge_map(
     if best.n == 0:
         return
     placed = place(result.model, best.alignment)
-    areas = area_metrics(placed, reference, truth.poses, view)
+    areas = area_metrics(placed, reference, truth.poses[:0])  # what was seen matters not here
     doors = door_metrics(placed, reference)
     if areas is not None:
         figures["areas_matched"] = {
@@ -259,7 +260,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of a simulated world")
     given = parser.parse_args()
     config = Config() if given.config is None else load_config(given.config)
-    json.dump(measure(given.name, config, given.seed), sys.stdout)
+    json.dump(_plain(measure(given.name, config, given.seed)), sys.stdout, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    """Without numbers that JSON has no word for: they become null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 if __name__ == "__main__":
