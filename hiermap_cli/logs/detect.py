@@ -26,6 +26,11 @@ def open_source(paths: Sequence[Path]) -> Source:
             raise InputError(f"{path}: no such file or folder")
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty")
+    if all(path.suffix == ".mcap" for path in paths):
+        from hiermap_cli.logs.mcap_file import McapFile
+        from hiermap_cli.logs.message_log import MessageLog
+
+        return MessageLog("MCAP", [McapFile(path) for path in paths])
     return text_source(paths)
 
 
