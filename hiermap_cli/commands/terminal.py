@@ -44,17 +44,18 @@ class Display(Observer):
         """Shows the summary."""
 
 
-def make_display(*, quiet: bool) -> Display:
+def make_display(*, quiet: bool, verbose: bool) -> Display:
     """The display that fits where stderr goes."""
     if quiet:
         return Display()
-    return TerminalDisplay() if sys.stderr.isatty() else PlainDisplay()
+    return TerminalDisplay(verbose) if sys.stderr.isatty() else PlainDisplay(verbose)
 
 
 class PlainDisplay(Display):
     """Lines, for a file or a pipe: few, and without control characters."""
 
-    def __init__(self) -> None:
+    def __init__(self, verbose: bool) -> None:
+        self._verbose = verbose
         self._done = 0
         self._begin = self._last = time.monotonic()
 
@@ -73,6 +74,9 @@ class PlainDisplay(Display):
 
     def finish(self, outcome: RunOutcome) -> None:
         """A line per row of the summary."""
+        if self._verbose:
+            for line in verbose_lines(outcome):
+                _line(line)
         for name, value in summary_rows(outcome):
             _line(f"{name}: {value}")
 
@@ -82,9 +86,10 @@ class TerminalDisplay(Display):
 
     wants_total = True
 
-    def __init__(self) -> None:
+    def __init__(self, verbose: bool) -> None:
         from rich.console import Console
 
+        self._verbose = verbose
         self._console: Console = Console(stderr=True, highlight=False, markup=False)
         self._progress: Progress | None = None
 
@@ -138,6 +143,9 @@ class TerminalDisplay(Display):
         from rich.table import Table
 
         self.close()
+        if self._verbose:
+            for line in verbose_lines(outcome):
+                self._console.print(line, soft_wrap=True)
         table = Table(box=SIMPLE_HEAD, show_header=False, title=outcome.log, title_justify="left")
         table.add_column(style="bold", no_wrap=True)
         table.add_column(overflow="fold")
@@ -171,6 +179,16 @@ def summary_rows(outcome: RunOutcome) -> list[tuple[str, str]]:
         ("results", str(outcome.output)),
     ]
     return [(name, value) for name, value in rows if value]
+
+
+def verbose_lines(outcome: RunOutcome) -> list[str]:
+    """Events in the order of time, then the seconds of each stage."""
+    first = outcome.events[0].stamp_ns if outcome.events else 0
+    lines = []
+    for event in outcome.events:
+        details = " ".join(f"{key}={value}" for key, value in event.details.items())
+        lines.append(one_line(f"{(event.stamp_ns - first) / 1e9:9.2f} s  {event.kind} {details}"))
+    return lines + [f"{seconds:9.3f} s  in {stage}" for stage, seconds in outcome.timing.items()]
 
 
 def _count(values: dict[str, float], name: str) -> str:
