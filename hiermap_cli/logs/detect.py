@@ -1,19 +1,24 @@
-"""Which format a log is in, by its first bytes; its name helps only where these are damaged."""
+"""Which format a log is in: by its first bytes, and by its name where these are damaged."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from hiermap_cli.errors import InputError
-from hiermap_cli.logs.carmen import KNOWN, SNIFF_LINES, CarmenLog
-from hiermap_cli.logs.textfile import text_lines
-from hiermap_cli.logs.wean import LASER, ODOMETRY, WeanLog
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from hiermap_cli.logs.container import Container
     from hiermap_cli.logs.source import Source
+
+TEXT, MCAP, DB3, BAG = "text", "MCAP", "rosbag2", "ROS 1 bag"
+_MAGIC_MCAP = b"\x89MCAP0\r\n"
+_MAGIC_DB3 = b"SQLite format 3\0"
+_MAGIC_BAG = b"#ROSBAG V"
+_MAGIC_GZIP = b"\x1f\x8b"
+_SUFFIXES = {".mcap": MCAP, ".db3": DB3, ".bag": BAG, ".zstd": DB3}
 
 
 def open_source(paths: Sequence[Path]) -> Source:
@@ -21,23 +26,77 @@ def open_source(paths: Sequence[Path]) -> Source:
 
     Raises InputError where a path is missing, empty, or of no known format.
     """
+    if not paths:
+        raise InputError("no log given")
+    losses: list[str] = []
+    files: list[Path] = []
     for path in paths:
+        files += _files(path, losses)
+    formats = [_format(path) for path in files]
+    if len(set(formats) - {MCAP, DB3}) > 1 or (TEXT in formats and set(formats) != {TEXT}):
+        kinds = ", ".join(f"{p.name} is {f}" for p, f in zip(files, formats, strict=True))
+        raise InputError(f"the files are no parts of one recording: {kinds}")
+    if formats[0] == TEXT:
+        return _text_source(files)
+    return _message_log(files, formats, losses)
+
+
+def _files(path: Path, losses: list[str]) -> list[Path]:
+    from hiermap_cli.logs.rosbag2 import METADATA, folder_files
+
+    try:
+        if path.name == METADATA and path.is_file():
+            path = path.parent
+        if path.is_dir():
+            files, faults = folder_files(path)
+            losses += faults
+            return files
         if not path.exists():
             raise InputError(f"{path}: no such file or folder")
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty")
-    if all(path.suffix == ".mcap" for path in paths):
-        from hiermap_cli.logs.mcap_file import McapFile
-        from hiermap_cli.logs.message_log import MessageLog
-
-        return MessageLog("MCAP", [McapFile(path) for path in paths])
-    return text_source(paths)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    return [path]
 
 
-def text_source(paths: Sequence[Path]) -> Source:
+def _format(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    for magic, found in ((_MAGIC_MCAP, MCAP), (_MAGIC_DB3, DB3), (_MAGIC_BAG, BAG)):
+        if head.startswith(magic):
+            return found
+    if head.startswith(_MAGIC_GZIP):
+        return TEXT
+    return _SUFFIXES.get(path.suffix.lower(), TEXT)
+
+
+def _message_log(files: list[Path], formats: list[str], losses: list[str]) -> Source:
+    from hiermap_cli.logs.bag_file import BagFile
+    from hiermap_cli.logs.message_log import MessageLog
+    from hiermap_cli.logs.rosbag2 import open_files
+
+    containers: list[Container]
+    if formats[0] == BAG:
+        containers = [BagFile(path) for path in files]
+    else:
+        containers, faults = open_files(files)
+        losses = losses + faults
+    name = DB3 if DB3 in formats else formats[0]
+    return MessageLog(name, containers, losses)
+
+
+def _text_source(paths: Sequence[Path]) -> Source:
     """A CARMEN or Wean log, by its first record."""
+    from hiermap_cli.logs.carmen import KNOWN, SNIFF_LINES, CarmenLog
+    from hiermap_cli.logs.textfile import text_lines
+    from hiermap_cli.logs.wean import LASER, ODOMETRY, WeanLog
+
     for number, line in enumerate(text_lines(paths[0], [])):
-        fields = line.split(None, 6)
+        fields = line[:4096].split(None, 6)
         name = fields[0] if fields else b"#"
         if name in KNOWN:
             return CarmenLog(paths)

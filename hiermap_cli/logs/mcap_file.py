@@ -55,10 +55,14 @@ class _Unread(NamedTuple):
 
 
 class McapFile:
-    """One MCAP file. Raises InputError where it cannot be opened or nothing is in it."""
+    """One MCAP file. `name` is the file that the losses speak of.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    Raises InputError where it cannot be opened or nothing is in it.
+    """
+
+    def __init__(self, path: Path, name: Path | None = None) -> None:
+        self.path = name or path
+        self._file = path
         self.losses: list[str] = []
         self._schemas: dict[int, Schema] = {}
         self._records: dict[int, ChannelRecord] = {}
@@ -71,11 +75,11 @@ class McapFile:
                 if self._pieces and not self._records:
                     self._gather_channels(file)
         except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-        self.losses = [f"{path.name}: {loss}" for loss in self.losses]
+            raise InputError(f"{self.path}: cannot be read: {error.strerror or error}") from error
+        self.losses = [f"{self.path.name}: {loss}" for loss in self.losses]
         if not self._pieces:
             reason = f" ({self.losses[0]})" if self.losses else ""
-            raise InputError(f"{path}: no messages in it{reason}")
+            raise InputError(f"{self.path}: no messages in it{reason}")
 
     def channels(self) -> dict[Channel, int | None]:
         """Channels by the summary, or where it is damaged by the chunks."""
@@ -96,7 +100,7 @@ class McapFile:
     def messages(self, wanted: Callable[[str], bool], losses: list[str]) -> Iterator[Message]:
         """Messages of the wanted topics by log time."""
         try:
-            with self.path.open("rb") as file:
+            with self._file.open("rb") as file:
                 pieces = [
                     Piece(p.begin_ns, p.end_ns, self._loader(file, p, wanted, losses))
                     for p in self._pieces

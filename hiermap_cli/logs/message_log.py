@@ -24,8 +24,11 @@ _UNLIMITED = float32(1e6)
 class MessageLog:
     """One or several containers, the parts of one recording, as a `Source`."""
 
-    def __init__(self, log_format: str, containers: Sequence[Container]) -> None:
+    def __init__(
+        self, log_format: str, containers: Sequence[Container], losses: Sequence[str] = ()
+    ) -> None:
         self.format = log_format
+        self._found = tuple(losses)
         self.losses: list[str] = []
         self._containers = ordered(containers)
         self.paths: list[Path] = [container.path for container in self._containers]
@@ -55,7 +58,8 @@ class MessageLog:
 
     def records(self, wanted: frozenset[str] | None = None) -> Iterator[Record]:
         """Decoded values in log order."""
-        self.losses = [loss for container in self._containers for loss in container.losses]
+        self.losses = list(self._found)
+        self.losses += [loss for container in self._containers for loss in container.losses]
         choose = wanted.__contains__ if wanted is not None else _all
         for message in chained(self._containers, choose, self.losses):
             yield from self._decoded(message)
