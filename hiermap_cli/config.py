@@ -72,21 +72,23 @@ class SegmentationConfig(Section):
 class OdometryConfig(Section):
     """Noise of the wheel odometry, and the priors of its constant faults."""
 
-    sigma_xy_per_sqrt_m: Positive = Field(0.03, description="metres after one metre")
+    sigma_xy_per_sqrt_m: Positive = Field(0.06, description="metres after one metre")
     sigma_xy_per_sqrt_rad: NonNegative = Field(0.02, description="metres after one radian")
-    sigma_theta_per_sqrt_m: Positive = Field(0.02, description="radians after one metre")
-    sigma_theta_per_sqrt_rad: Positive = Field(0.04, description="radians after one radian")
+    sigma_theta_per_sqrt_m: Positive = Field(0.04, description="radians after one metre")
+    sigma_theta_per_sqrt_rad: Positive = Field(0.1, description="radians after one radian")
     prior_scale: NonNegative = Field(0.05, description="relative error of distances")
     prior_rotation_scale: NonNegative = Field(0.05, description="relative error of rotations")
     prior_curvature: NonNegative = Field(0.05, description="rad/m, heading drift over distance")
+    fault_sigma_xy: Positive = Field(0.3, description="metres, when odometry has failed")
+    fault_sigma_theta: Positive = Field(0.5, description="radians, when odometry has failed")
     prior_laser_x: NonNegative = Field(0.1, description="metres, error of the laser's x")
 
 
 class FilterConfig(Section):
     """What becomes a measurement, and when."""
 
-    key_distance: Positive = Field(0.2, description="metres between scans that the filter uses")
-    key_angle: Positive = Field(0.2, description="radians between scans that the filter uses")
+    key_distance: Positive = Field(0.1, description="metres between scans that the filter uses")
+    key_angle: Positive = Field(0.05, description="radians between scans that the filter uses")
     min_match_length: Positive = Field(0.3, description="metres; a segment that may be matched")
     min_new_length: Positive = Field(0.4, description="metres; a segment that may found a wall")
     wall_sigma: NonNegative = Field(0.02, description="metres; walls are not lines")
@@ -97,10 +99,57 @@ class FilterConfig(Section):
 class AssociationConfig(Section):
     """Gates of the matching."""
 
-    gate: Positive = Field(0.99, lt=1, description="probability of the chi-square gates")
+    gate: Positive = Field(0.999, lt=1, description="probability of the chi-square gates")
     max_angle: Positive = Field(0.26, description="radians between a segment and its wall")
     max_offset: Positive = Field(1.0, description="metres between a segment and its wall")
     max_gap: Positive = Field(0.4, description="metres between a segment and the wall's extent")
+
+
+class RelocationConfig(Section):
+    """Finding the robot again when the prediction cannot be trusted."""
+
+    max_speed: Positive = Field(2.0, description="m/s; faster odometry has failed")
+    max_turn_rate: Positive = Field(2.2, description="rad/s; faster odometry has failed")
+    poor_match: NonNegative = Field(0.25, le=1, description="share of the segments' length")
+    max_distance: Positive = Field(1.5, description="metres searched about the prediction")
+    max_turn: Positive = Field(1.7, description="radians searched about the prediction")
+    least_seen: int = Field(3, ge=1, description="sightings of a wall that may tell the place")
+    min_length: Positive = Field(0.3, description="metres; segments that hypotheses are made of")
+    max_angle: Positive = Field(0.07, description="radians between a segment and its wall")
+    max_offset: Positive = Field(0.12, description="metres between a segment and its wall")
+    min_share: Positive = Field(0.5, le=1, description="share of the segments' length explained")
+    min_explained: Positive = Field(2.0, description="metres of segments explained")
+    second: Positive = Field(0.85, le=1, description="the second best, of the best")
+    distinct: Positive = Field(0.3, description="metres between different places")
+    distinct_angle: Positive = Field(0.15, description="radians between different places")
+    sigma: Positive = Field(0.1, description="metres, of a pose found so, before its update")
+    sigma_angle: Positive = Field(0.05, description="radians, of a pose found so")
+
+
+class ForgetConfig(Section):
+    """What is not seen again is forgotten."""
+
+    patience: int = Field(6, ge=1, description="key scans unseen, for each sighting before")
+    enough: int = Field(12, ge=2, description="sightings after which an object is kept for good")
+
+
+class DoorConfig(Section):
+    """When a narrow place is a door (or an opening between areas)."""
+
+    min_width: Positive = Field(0.5, description="metres between the jambs")
+    max_width: Positive = Field(1.25, description="metres between the jambs, as passed")
+    widening: Positive = Field(0.8, description="metres wider on either side of it")
+    reach: Positive = Field(1.0, description="metres of path on which it must widen")
+    wall_offset: Positive = Field(0.35, description="metres of a jamb's wall off the jambs' line")
+    min_wall: NonNegative = Field(0.8, description="metres of wall beside the jambs, together")
+    hysteresis: Positive = Field(0.4, description="metres beyond a known door to have crossed it")
+
+
+class AreaConfig(Section):
+    """When an area ends without a door."""
+
+    max_objects: int = Field(300, ge=20, description="walls and ends in one area's state")
+    max_extent: Positive = Field(40.0, description="metres from the area's frame")
 
 
 class Config(Section):
@@ -112,6 +161,10 @@ class Config(Section):
     odometry: OdometryConfig = OdometryConfig()
     filter: FilterConfig = FilterConfig()
     association: AssociationConfig = AssociationConfig()
+    relocation: RelocationConfig = RelocationConfig()
+    forget: ForgetConfig = ForgetConfig()
+    doors: DoorConfig = DoorConfig()
+    areas: AreaConfig = AreaConfig()
     update: Literal["relocation_fusion", "ekf"] = Field(
         "relocation_fusion", description="how a constraint is added (section 3.3)"
     )

@@ -74,5 +74,12 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
     return Motion(np.array([x, y, float(_wrap(turn))]), Q, J)
 
 
+def distrusted(motion: Motion, config: OdometryConfig) -> Motion:
+    """The motion of an increment that cannot be true: it says little, and nothing of the
+    calibration."""
+    spread = np.diag(np.square([config.fault_sigma_xy, config.fault_sigma_xy, config.fault_sigma_theta]))
+    return Motion(motion.pose, motion.covariance + spread, np.zeros_like(motion.by_parameters))
+
+
 def _wrap(angle: float) -> float:
     return np.pi - (np.pi - angle) % (2.0 * np.pi)

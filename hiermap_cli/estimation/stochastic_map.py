@@ -77,6 +77,11 @@ class StochasticMap:
             return np.broadcast_to(np.eye(3), (*np.shape(pose), 3))
         return se2.invariant_D_additive(pose)
 
+    def error_D_tangent(self, pose: Array) -> Array:
+        """d error / d tangent at a pose (its own frame), in this map's coordinates, (3, 3)."""
+        Ad = se2.adjoint(pose)
+        return Ad if self.coordinates == "invariant" else se2.additive_D_invariant(pose) @ Ad
+
     def additive_covariance(self) -> Array:
         """C(V) of the robot and the objects (without the parameters), additive, as documents
         carry it: (3 + 3 n, 3 + 3 n)."""
@@ -175,10 +180,10 @@ def add_objects(
     if by_parameters is not None:
         A[:, 3 : 3 + m] = (Ad @ by_parameters).reshape(3 * k, m)
     noise = Ad @ C_tangent @ Ad.transpose(0, 2, 1)
-    return _augment(V, X, A, noise)
+    return augment(V, X, A, noise)
 
 
-def _augment(V: StochasticMap, X: Array, A: Array, noise: Array) -> StochasticMap:
+def augment(V: StochasticMap, X: Array, A: Array, noise: Array) -> StochasticMap:
     """Objects X (k, 3) with invariant errors `A e + w`: A (3 k, N), w of blocks (k, 3, 3)."""
     k, N = len(X), len(V.covariance)
     if V.coordinates == "additive":
@@ -261,7 +266,55 @@ def constrain(
     delta = np.zeros(len(V.covariance))
     delta[:3] = relocation.delta_r
     V = corrected(V, delta, relocation.covariance)
-    rows = measure(V)
-    columns, H = jacobian(V, rows)
-    delta, P = fuse(relocation, columns, H, R, rows.innovation)
+    # Predicted anew, but with H as it was: a Jacobian that changes between the two steps would
+    # count as information that no measurement gave.
+    innovation = measure(V).innovation
+    delta, P = fuse(relocation, columns, H, R, innovation)
     return corrected(V, delta, P)
+
+
+def relative_covariance(V: StochasticMap, i: int, j: int) -> Array:
+    """Covariance (3, 3) of pose j seen from pose i, in the tangent at i (0 is the robot)."""
+    a, b = V.columns(i), V.columns(j)
+    T_a, T_b = V.invariant_D_error(V.poses[i]), V.invariant_D_error(V.poses[j])
+    P = V.covariance
+    cross = T_b @ P[b, a] @ T_a.T
+    C = T_a @ P[a, a] @ T_a.T + T_b @ P[b, b] @ T_b.T - cross - cross.T
+    Ad = se2.adjoint(se2.invert(V.poses[i]))
+    return symmetrise(Ad @ C @ Ad.T)
+
+
+def place_robot(
+    V: StochasticMap, i: int, R_i_r: Array, C_tangent: Array, parameters: Array, C_parameters: Array
+) -> StochasticMap:
+    """V with the robot put anew at `compose(X_i, R_i_r)`, relative to object i.
+
+    C_tangent: (3, 3) of R_i_r in the tangent at i, independent of V. The parameters are replaced
+    too; what they had in common with the objects of V is dropped, which keeps every marginal.
+    """
+    robot = se2.compose(V.poses[i], R_i_r)
+    m, N, where = len(parameters), len(V.covariance), V.columns(i)
+    T = se2.additive_D_invariant if V.coordinates == "additive" else _identity
+    to_robot = T(robot) @ V.invariant_D_error(V.poses[i])
+    Ad = T(robot) @ se2.adjoint(V.poses[i])
+    P = V.covariance.copy()
+    P[3 : 3 + m], P[:, 3 : 3 + m] = 0.0, 0.0
+    P[3 : 3 + m, 3 : 3 + m] = C_parameters
+    row = to_robot @ P[where]
+    P[:3, 3 + m : N], P[3 + m : N, :3] = row[:, 3 + m :], row[:, 3 + m :].T
+    P[:3, 3 : 3 + m], P[3 : 3 + m, :3] = 0.0, 0.0
+    P[:3, :3] = to_robot @ P[where, where] @ to_robot.T + Ad @ C_tangent @ Ad.T
+    poses = V.poses.copy()
+    poses[0] = robot
+    return replace(V, poses=poses, parameters=parameters, covariance=P)
+
+
+def _identity(_pose: Array) -> Array:
+    return np.eye(3)
+
+
+def clone_robot(V: StochasticMap) -> StochasticMap:
+    """V with a copy of the robot's present pose as a new object, fully correlated with it."""
+    A = np.zeros((3, len(V.covariance)))
+    A[:, :3] = V.invariant_D_error(V.robot)
+    return augment(V, V.robot[None], A, np.zeros((1, 3, 3)))

@@ -10,6 +10,7 @@ import numpy as np
 from hiermap_cli.estimation.stochastic_map import constrain
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import (
+    ANCHOR,
     END,
     WALL,
     AreaMap,
@@ -26,7 +27,7 @@ from hiermap_cli.perception.segments import END_OPEN
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hiermap_cli.config import Config
+    from hiermap_cli.config import Config, ForgetConfig
     from hiermap_cli.mapping.area_map import Matches
     from hiermap_cli.perception.views import SegmentView
 
@@ -122,11 +123,13 @@ def _new_ends(
     return add_ends(area, walls[i[pick]], x[pick], sigma[pick], side[pick], key)
 
 
-def forget_unseen(area: AreaMap, key: int, patience: int, least: int) -> tuple[AreaMap, int]:
-    """Forget walls and ends that were seen fewer than `least` times and not for `patience` key
-    scans, and ends whose wall is gone. Returns how many."""
+def forget_unseen(area: AreaMap, key: int, config: ForgetConfig) -> tuple[AreaMap, int]:
+    """Forget what has not been seen for long, against how often it ever was: an object seen n
+    times is kept for `patience * n` key scans, and for good after `enough` sightings. Ends go
+    with their wall. Returns how many were forgotten."""
     f = area.features
-    drop = (f.seen < least) & (key - f.last > patience) & ((f.kind == WALL) | (f.kind == END))
+    unseen = key - f.last
+    drop = (f.kind != ANCHOR) & (f.seen < config.enough) & (unseen > config.patience * f.seen)
     gone = f.uid[drop & (f.kind == WALL)]
     drop |= (f.kind == END) & np.isin(f.wall, gone)
     if not drop.any():

@@ -19,7 +19,7 @@ from hiermap_cli.estimation.motion import LASER_X, PARAMETERS
 from hiermap_cli.estimation.stochastic_map import (
     Rows,
     StochasticMap,
-    _augment,
+    augment,
     add_objects,
     remove_objects,
 )
@@ -185,7 +185,7 @@ def add_walls(area: AreaMap, view: SegmentView, segments: Index, key: int) -> Ar
         seen=np.ones(k, dtype=np.int64),
         last=np.full(k, key),
     )
-    return AreaMap(V, _joined(area.features, new), area.next_uid + k)
+    return AreaMap(V, joined(area.features, new), area.next_uid + k)
 
 
 def add_ends(
@@ -213,7 +213,7 @@ def add_ends(
     if m == PARAMETERS:
         A[:, :, 3 + LASER_X] = Ad[:, :, 0] * np.cos(X[:, 2] - V.robot[2])[:, None]
     noise = Ad[:, :, :1] @ Ad[:, :, :1].transpose(0, 2, 1) * np.square(sigma)[:, None, None]
-    V = _augment(V, X, A.reshape(3 * k, N), noise)
+    V = augment(V, X, A.reshape(3 * k, N), noise)
     new = Features(
         uid=area.next_uid + np.arange(k),
         kind=np.full(k, END),
@@ -224,7 +224,7 @@ def add_ends(
         seen=np.ones(k, dtype=np.int64),
         last=np.full(k, key),
     )
-    return AreaMap(V, _joined(area.features, new), area.next_uid + k)
+    return AreaMap(V, joined(area.features, new), area.next_uid + k)
 
 
 def forget(area: AreaMap, drop: Array) -> AreaMap:
@@ -237,5 +237,5 @@ def forget(area: AreaMap, drop: Array) -> AreaMap:
     )
 
 
-def _joined(old: Features, new: Features) -> Features:
+def joined(old: Features, new: Features) -> Features:
     return Features(*(np.concatenate(pair) for pair in zip(old, new, strict=True)))
