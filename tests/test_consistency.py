@@ -91,8 +91,10 @@ def test_first_common_pose_when_the_truth_begins_later() -> None:
     exact = exact_trajectory()
     later = TRUTH.stamps_ns[20:], TRUTH.poses[20:]
     aligned = first_pose_alignment(exact.stamps_ns, exact.poses, *later)
-    # 0.5 s, five poses, before the truth's first one, which is taken for it.
-    assert aligned == pytest.approx(compose(TRUTH.poses[20], invert(exact.poses[15])))
+    # Not the poses up to 0.5 s before it: the robot was elsewhere then.
+    assert aligned == pytest.approx(compose(TRUTH.poses[20], invert(exact.poses[20])))
+    assert robot_nees(exact, *later).n == len(TRUTH.poses) - 20
+    assert robot_nees(exact, *later).mean == pytest.approx(0.0, abs=1e-12)
     assert first_pose_alignment(exact.stamps_ns, exact.poses, later[0] + 10**12, later[1]) is None
 
 

@@ -16,7 +16,7 @@ from hiermap_cli.evaluation.corners import CORNER_RADIUS, furniture_corners, wal
 from hiermap_cli.evaluation.doors import DOOR_RADIUS
 from hiermap_cli.evaluation.matching import match_points
 from hiermap_cli.evaluation.placed import is_corner, is_door, landmark_points, move_points
-from hiermap_cli.evaluation.trajectory import MAX_GAP_S, poses_at
+from hiermap_cli.evaluation.trajectory import MAX_GAP_S, PosesAt, poses_at
 from hiermap_cli.geometry.se2 import compose, invert, wrap
 from hiermap_cli.mapping.model import Metric
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     Stamps = NDArray[np.int64]
 
 _SINGULAR = 1e-10  # smallest eigenvalue of a correlation matrix that is still inverted
+_ROUNDING_NS = 1_000_000  # stamps written with three decimals are still the same
 _THICKEST = 0.5  # metres from a door's line to a face of its wall
 
 
@@ -70,13 +71,25 @@ def first_pose_alignment(
 ) -> Array | None:
     """`R_t_g` (3,) that puts estimate (N, 3) and truth (T, 3) together at the first common pose.
 
-    That is the first estimated pose with a true one within 0.5 s; None where there is none.
+    That is the first estimated pose whose time the truth covers; None where there is none.
     """
-    at, found = poses_at(truth_ns, truth, stamps_ns, MAX_GAP_S)
+    at, found = _truth_at(truth_ns, truth, stamps_ns)
     if not found.any():
         return None
     first = int(np.argmax(found))
     return compose(at[first], invert(poses[first]))
+
+
+def _truth_at(truth_ns: Stamps, truth: Array, stamps_ns: Stamps) -> PosesAt:
+    """The truth interpolated at stamps (N,), and where it has a pose within 0.5 s.
+
+    Never beyond its ends: the robot's way there would count as an error of the estimate.
+    """
+    at, found = poses_at(truth_ns, truth, stamps_ns, MAX_GAP_S)
+    if len(truth_ns):
+        first, last = np.min(truth_ns) - _ROUNDING_NS, np.max(truth_ns) + _ROUNDING_NS
+        found = found & (stamps_ns >= first) & (stamps_ns <= last)
+    return PosesAt(at, found)
 
 
 def robot_nees(trajectory: Trajectory, truth_ns: Stamps, truth: Array) -> Nees:
@@ -87,7 +100,7 @@ def robot_nees(trajectory: Trajectory, truth_ns: Stamps, truth: Array) -> Nees:
     values = np.full(len(trajectory.poses), math.nan)
     R_t_g = first_pose_alignment(trajectory.stamps_ns, trajectory.poses, truth_ns, truth)
     if R_t_g is not None:
-        at, found = poses_at(truth_ns, truth, trajectory.stamps_ns, MAX_GAP_S)
+        at, found = _truth_at(truth_ns, truth, trajectory.stamps_ns)
         errors = trajectory.poses - compose(invert(R_t_g), at)
         errors[:, 2] = wrap(errors[:, 2])
         values[found] = nees_values(errors[found], trajectory.covariances[found])
