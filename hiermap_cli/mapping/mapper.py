@@ -9,17 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiermap_cli.estimation import motion as odometry_model
-from hiermap_cli.estimation.stochastic_map import (
-    initial_map,
-    place_robot,
-    predict,
-    relative_covariance,
-)
+from hiermap_cli.estimation.stochastic_map import initial_map, predict
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_filter import Step, forget_unseen, observe
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap
+from hiermap_cli.mapping.crossing import Crossings, Passing
 from hiermap_cli.mapping.model import Event
-from hiermap_cli.mapping.portals import Pinch, PinchDetector, add_anchor, wall_evidence
 from hiermap_cli.mapping.relocation import relocate, robot_found
 from hiermap_cli.mapping.trail import Trail
 from hiermap_cli.perception.clearance import clearance
@@ -33,29 +28,12 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import Config
     from hiermap_cli.logs.records import ScanBlock
+    from hiermap_cli.mapping.crossing import Portal
     from hiermap_cli.perception.views import SegmentView
 
     Array = NDArray[np.float64]
 
 FORGET_EVERY = 10
-
-
-@dataclass(slots=True)
-class Portal:
-    """A door between two areas: an anchor in each, and where the door lies from it.
-
-    R_anchor_d: (3,) the door's frame from the anchor: origin midway between the jambs, X along
-    them, Y from area `a` to area `b`.
-    """
-
-    a: int
-    anchor_a: int
-    b: int
-    anchor_b: int
-    R_anchor_d: Array
-    width: float
-    wall: float
-    crossings: int = 1
 
 
 @dataclass(slots=True)
@@ -77,14 +55,16 @@ class Mapper:
 
     config: Config
     areas: list[AreaMap] = field(default_factory=list)
-    portals: list[Portal] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     trail: Trail = field(default_factory=Trail)
     current: int = 0
     key: int = 0
+    crossings: Crossings = field(init=False)
     _odometry: Array | None = None
-    _pinches: PinchDetector | None = None
+
+    def __post_init__(self) -> None:
+        self.crossings = Crossings(self.config, self.areas, self.trail, self.events)
 
     def take(self, block: ScanBlock) -> None:
         """Segment a block of scans and filter them one by one."""
@@ -121,7 +101,13 @@ class Mapper:
         self._odometry = odometry
         self._observe(stamp_ns, view, suspect=suspect)
         self.trail.key(stamp_ns, self.current, self.area.V)
-        self._cross(stamp_ns, distance, left, right)
+        passed = Passing(stamp_ns, self.key, distance, left, right)
+        self.current = self.crossings.step(self.current, passed)
+
+    @property
+    def portals(self) -> list[Portal]:
+        """The doors found so far."""
+        return self.crossings.portals
 
     @property
     def area(self) -> AreaMap:
@@ -141,7 +127,6 @@ class Mapper:
             c.coordinates,
         )
         self.areas.append(AreaMap(V, EMPTY))
-        self._pinches = PinchDetector(c.doors)
         self._odometry = odometry
         self._event(stamp_ns, "area_entered", area="A1")
 
@@ -193,118 +178,6 @@ class Mapper:
             and len(self.area.features.uid) > 3
             and _matched_length(view, step) < self.config.relocation.poor_match * total
         )
-
-    def _cross(self, stamp_ns: int, distance: float, left: float, right: float) -> None:
-        """Through a known door, through a new one, or out of an area that has grown too large."""
-        through = self._known_portal()
-        if through is not None:
-            self._reenter(stamp_ns, through)
-            return
-        assert self._pinches is not None
-        pinch = self._pinches.passed(self.area.V.robot, distance, left, right)
-        if pinch is not None and not self._near_portal(pinch.frame):
-            wall = wall_evidence(self.area, pinch, self.config.doors)
-            if wall >= self.config.doors.min_wall:
-                self._enter_new(stamp_ns, pinch, wall)
-                return
-            self._event(stamp_ns, "pinch_passed", area=self._name(), width=pinch.width, wall=wall)
-        c = self.config.areas
-        far = np.hypot(*self.area.V.robot[:2]) > c.max_extent
-        if far or len(self.area.features.uid) > c.max_objects:
-            frame = se2.compose(self.area.V.robot, np.array([0.0, 0.0, -0.5 * np.pi]))
-            self._enter_new(stamp_ns, Pinch(frame, 2.0, 0.0), 0.0)
-
-    def _door_frames(self) -> list[tuple[int, bool, Array]]:
-        """Doors of the current area: (portal, whether this is its side a, R_A_d)."""
-        out = []
-        for i, p in enumerate(self.portals):
-            for side, anchor in ((p.a, p.anchor_a), (p.b, p.anchor_b)):
-                if side == self.current:
-                    pose = self._anchor(side, anchor)
-                    out.append((i, side == p.a, se2.compose(pose, p.R_anchor_d)))
-        return out
-
-    def _anchor(self, area: int, uid: int) -> Array:
-        return self.areas[area].V.poses[1 + self._anchor_index(area, uid)]
-
-    def _anchor_index(self, area: int, uid: int) -> int:
-        return int(np.flatnonzero(self.areas[area].features.uid == uid)[0])
-
-    def _near_portal(self, frame: Array) -> bool:
-        return any(
-            np.hypot(*(R_A_d[:2] - frame[:2])) < 0.8 for _, _, R_A_d in self._door_frames()
-        )
-
-    def _known_portal(self) -> int | None:
-        """The door that the robot has gone through since the last key scans, if it has."""
-        hysteresis = self.config.doors.hysteresis
-        for i, from_a, R_A_d in self._door_frames():
-            u, v, _ = se2.between(R_A_d, self.area.V.robot)
-            beyond = v if from_a else -v
-            half = 0.5 * self.portals[i].width + 0.3
-            if hysteresis < beyond < hysteresis + 0.6 and abs(u) < half + beyond:
-                before = self.trail.recent(self.current, 1.5)
-                if before is None:
-                    continue
-                w = se2.between(R_A_d, before)
-                side = w[:, 1] if from_a else -w[:, 1]
-                crossing = np.flatnonzero((side[:-1] <= 0.0) & (side[1:] > 0.0))
-                if len(crossing) and abs(w[crossing[-1], 0]) < half:
-                    return i
-        return None
-
-    def _enter_new(self, stamp_ns: int, pinch: Pinch, wall: float) -> None:
-        """A new area, with its frame where the robot is: certain in its own frame."""
-        a = self.current
-        area, anchor_a = add_anchor(self.area, self.key)
-        self._set(area)
-        V = area.V
-        m = len(V.parameters)
-        new = AreaMap(
-            initial_map(
-                np.zeros(3),
-                np.zeros((3, 3)),
-                V.parameters,
-                V.covariance[3 : 3 + m, 3 : 3 + m],
-                V.coordinates,
-            ),
-            EMPTY,
-        )
-        new, anchor_b = add_anchor(new, self.key)
-        self.areas.append(new)
-        self.current = len(self.areas) - 1
-        R_anchor_d = se2.between(V.robot, pinch.frame)
-        self.portals.append(Portal(a, anchor_a, self.current, anchor_b, R_anchor_d, pinch.width, wall))
-        self._pinches = PinchDetector(self.config.doors)
-        self._event(
-            stamp_ns, "area_entered", area=self._name(), door=f"D{len(self.portals)}",
-            width=pinch.width, wall=wall,
-        )  # fmt: skip
-
-    def _reenter(self, stamp_ns: int, index: int) -> None:
-        """Back through a known door: the robot is placed in the old area by the door's anchors.
-
-        The door seen from here is the door seen from there; what the robot did since it was
-        there is in the area that it leaves, and independent of the one it enters.
-        """
-        p = self.portals[index]
-        here, there = (p.a, p.b) if p.a == self.current else (p.b, p.a)
-        out, into = (p.anchor_a, p.anchor_b) if here == p.a else (p.anchor_b, p.anchor_a)
-        V = self.area.V
-        i = 1 + self._anchor_index(here, out)
-        R_anchor_r = se2.between(V.poses[i], V.robot)
-        C = relative_covariance(V, i, 0)
-        m = len(V.parameters)
-        other = self.areas[there]
-        j = 1 + self._anchor_index(there, into)
-        V = place_robot(
-            other.V, j, R_anchor_r, C, V.parameters, V.covariance[3 : 3 + m, 3 : 3 + m]
-        )
-        self.current = there
-        self._set(replace(other, V=V))
-        p.crossings += 1
-        self._pinches = PinchDetector(self.config.doors)
-        self._event(stamp_ns, "area_reentered", area=self._name(), door=f"D{index + 1}")
 
     def _name(self) -> str:
         return f"A{self.current + 1}"
