@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.gaussian import fuse, kalman_update, relocate, symmetrise
+from hiermap_cli.estimation.gaussian import kalman_update, robot_correction, symmetrise
 from hiermap_cli.geometry import se2
 
 if TYPE_CHECKING:
@@ -254,22 +254,26 @@ def constrain(
 ) -> StochasticMap:
     """Equation 3: objects seen again. `measure` linearises the measurement at a given V.
 
-    R: (k, k) noise of the rows. With `relocation_fusion` the robot is corrected first, from all
-    rows; then everything, with the rows predicted anew at the corrected robot.
+    R: (k, k) noise of the rows. With `relocation_fusion` (Moutarlier and Chatila) the robot is
+    first corrected alone, from all rows; then everything is corrected, with the rows predicted
+    at the relocated robot. The second step starts from the state **before** the first, with the
+    innovation `y(V') + H (V' - V)`: the rows enter once, and on a linear model the result is the
+    Kalman filter's to the digit. (Carrying the relocated state and its correlation with the
+    noise into the second step gives the same on paper, but an innovation covariance that is
+    nearly singular: see docs/design.md.)
     """
     rows = measure(V)
     columns, H = jacobian(V, rows)
     if update == "ekf":
         delta, P = kalman_update(V.covariance, columns, H, R, rows.innovation)
         return corrected(V, delta, P)
-    relocation = relocate(V.covariance, columns, H, R, rows.innovation)
-    delta = np.zeros(len(V.covariance))
-    delta[:3] = relocation.delta_r
-    V = corrected(V, delta, relocation.covariance)
-    # Predicted anew, but with H as it was: a Jacobian that changes between the two steps would
-    # count as information that no measurement gave.
-    innovation = measure(V).innovation
-    delta, P = fuse(relocation, columns, H, R, innovation)
+    relocation = np.zeros(len(V.covariance))
+    relocation[:3] = robot_correction(V.covariance, columns, H, R, rows.innovation)
+    relocated = corrected(V, relocation, V.covariance)
+    rows = measure(relocated)
+    columns, H = jacobian(relocated, rows)
+    innovation = rows.innovation + H @ relocation[columns]
+    delta, P = kalman_update(V.covariance, columns, H, R, innovation)
     return corrected(V, delta, P)
 
 
