@@ -74,4 +74,4 @@ def _runs_on(beams: Beams, laser: LaserConfig, suspect: NDArray[np.int64]) -> ND
     jump = np.abs(q[:, 2] - q[:, 1])
     decided = jump > 2.0 * np.maximum(bound_left, bound_right)
     fits = (np.abs(left) < bound_left) & (np.abs(right) < bound_right)
-    return inside & decided & fits
+    return np.asarray(inside & decided & fits)

@@ -1,14 +1,15 @@
-"""Lines through runs of points: from prefix sums in O(1) a run, and to full accuracy.
+"""Lines through runs of points: from their moments in O(1), and to full accuracy.
 
-A line is (nx, ny, d): the unit normal points away from the laser (to the material), d > 0 is its
-distance from the laser. The first fits are unweighted and come from prefix sums, which are kept
-scan by scan about the laser's origin. They decide splits and merges only: the final fit works on
-residuals, so that no digits are lost, and is the maximum likelihood one.
+A line is (nx, ny, d): the unit normal points away from the laser (to the material), d >= 0 is its
+distance from the laser. The first fits are unweighted and come from moments about the laser's
+origin, summed once a run: those of merged runs are sums of theirs, those of trimmed ones lack the
+trimmed points', so that no sum is ever larger than its run and none loses digits. They decide
+merges and boundaries; the final fit works on residuals and is the maximum likelihood one.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
+
+T = TypeVar("T", bound=np.generic)
 
 GRAZING = 0.01  # cosine of incidence below which a beam is taken to be that steep
 
@@ -31,55 +35,110 @@ class Lines(NamedTuple):
     ny: Array
     d: Array
 
-    def take(self, index: Index | NDArray[np.bool_]) -> Lines:
+    def take(self, index: Index | Mask) -> Lines:
         """The lines at `index`."""
         return Lines(self.nx[index], self.ny[index], self.d[index])
 
 
-def prefix_sums(beams: Beams) -> Array:
-    """Inclusive sums over the points of each scan of 1, x, y, xx, xy, yy: (6, N + 1).
+def run_moments(x: Array, y: Array, starts: Index) -> Array:
+    """Sums of 1, x, y, xx, xy, yy over runs of points that begin at `starts` (K,): (6, K)."""
+    out = np.empty((6, len(starts)))
+    out[0] = np.diff(starts, append=len(x))
+    for row, value in enumerate((x, y, x * x, x * y, y * y), start=1):
+        np.add.reduceat(value, starts, out=out[row])
+    return out
 
-    Column i + 1 holds the sums up to point i within its scan; differences are only meant between
-    points of one scan.
+
+def few_moments(x: Array, y: Array, take: Mask) -> Array:
+    """Sums of 1, x, y, xx, xy, yy over the points (K, m) that `take` (K, m) marks: (6, K)."""
+    x, y = np.where(take, x, 0.0), np.where(take, y, 0.0)
+    return np.stack([v.sum(axis=1) for v in (take, x, y, x * x, x * y, y * y)])
+
+
+def least_scatter(sums: Array) -> Array:
+    """Sum of squared distances (K,) from the best line of moments (6, K).
+
+    It is the smaller eigenvalue of the scatter matrix.
     """
-    count, width = beams.ranges.shape
-    dense = np.zeros((6, count * width))
-    x, y = beams.x, beams.y
-    for row, values in zip(dense, (1.0, x, y, x * x, x * y, y * y), strict=True):
-        row[beams.cell] = values
-    dense = dense.reshape(6, count, width).cumsum(axis=2).reshape(6, -1)
-    return dense[:, beams.cell]
-
-
-def moments(sums: Array, values: Array, first: Index, last: Index) -> Array:
-    """Sums over the points `first..last` (inclusive, of one scan each): (6, K)."""
-    return sums[:, last] - sums[:, first] + values[:, first]
-
-
-def point_moments(beams: Beams) -> Array:
-    """The summands of `prefix_sums` themselves: (6, N)."""
-    x, y = beams.x, beams.y
-    return np.stack((np.ones_like(x), x, y, x * x, x * y, y * y))
-
-
-def fit_moments(sums: Array) -> Lines:
-    """Unweighted total least squares lines of moments (6, K); normals away from the laser."""
     n, sx, sy, sxx, sxy, syy = sums
     mx, my = sx / n, sy / n
     xx, xy, yy = sxx - sx * mx, sxy - sx * my, syy - sy * my
-    # The normal is the axis of the smaller eigenvalue of the scatter matrix.
-    alpha = 0.5 * np.arctan2(-2.0 * xy, yy - xx)
-    nx, ny = np.cos(alpha), np.sin(alpha)
+    half = 0.5 * (xx - yy)
+    return np.asarray(np.maximum(0.5 * (xx + yy) - np.sqrt(half * half + xy * xy), 0.0))
+
+
+def fit_moments(sums: Array) -> Lines:
+    """Unweighted total least squares lines of moments (6, K).
+
+    The normal is the axis of the smaller eigenvalue of the scatter matrix, without trigonometry.
+    """
+    n, sx, sy, sxx, sxy, syy = sums
+    mx, my = sx / n, sy / n
+    xx, xy, yy = sxx - sx * mx, sxy - sx * my, syy - sy * my
+    half = 0.5 * (xx - yy)
+    root = np.sqrt(half * half + xy * xy)
+    # The direction of the line is (half + root, xy) or (xy, root - half): the longer one.
+    wide = half >= 0.0
+    along = np.abs(half) + root
+    tx, ty = np.where(wide, along, xy), np.where(wide, xy, along)
+    length = np.sqrt(tx * tx + ty * ty)
+    length[length == 0.0] = 1.0
+    nx, ny = ty / length, -tx / length
     d = nx * mx + ny * my
     sign = np.where(d < 0.0, -1.0, 1.0)
     return Lines(sign * nx, sign * ny, sign * d)
 
 
-class Fit(NamedTuple):
-    """Lines after a step of `refine`, their centres and variances, and residuals before it.
+class Members(NamedTuple):
+    """The points of K segments, segment after segment, each in the order of its beams; M in all.
 
-    cx, cy: (K,) weighted centre. var_alpha, var_d: (K,) variances of the angle and of the
-    offset at the centre. residual: (M,) of each point, perpendicular; weight: (M,) as used.
+    point: (M,) into the block's points. starts, counts: (K,). x, y, ux, uy, r: (M,) the points,
+    their beams' unit vectors and ranges.
+    """
+
+    point: Index
+    starts: Index
+    counts: Index
+    x: Array
+    y: Array
+    ux: Array
+    uy: Array
+    r: Array
+
+    def of(self, which: Mask) -> tuple[Members, Mask]:
+        """The members of the segments `which` (K,), and where they stand among these (M,)."""
+        here = self.spread(which)
+        counts = self.counts[which]
+        chosen = (v[here] for v in (self.x, self.y, self.ux, self.uy, self.r))
+        return Members(self.point[here], np.cumsum(counts) - counts, counts, *chosen), here
+
+    def spread(self, value: NDArray[T]) -> NDArray[T]:
+        """A value of each segment (K,) at each of its points (M,)."""
+        return np.repeat(value, self.counts)
+
+    def total(self, value: NDArray[np.generic]) -> NDArray[Any]:
+        """The sum of a value of each point (M,) over each segment (K,); a mask is counted."""
+        if value.dtype == np.bool_:
+            value = value.view(np.int8).astype(np.int64)
+        return np.asarray(np.add.reduceat(value, self.starts))
+
+
+def gather(beams: Beams, index: Index, counts: Index) -> Members:
+    """The members `index` (M,) of segments with `counts` (K,) points each, none of them empty."""
+    return Members(
+        index,
+        np.cumsum(counts) - counts,
+        counts,
+        *(v.take(index, mode="clip") for v in (beams.x, beams.y, beams.dx, beams.dy, beams.r)),
+    )
+
+
+class Fit(NamedTuple):
+    """Lines after a step of `refine`, their centres and variances.
+
+    cx, cy: (K,) weighted centre. var_alpha, var_d: (K,) variances of the angle and of the offset
+    at the centre. residual, variance: (M,) of each point, perpendicular to the fitted line.
+    chi2: (K,) weighted sum of squared residuals.
     """
 
     lines: Lines
@@ -88,65 +147,71 @@ class Fit(NamedTuple):
     var_alpha: Array
     var_d: Array
     residual: Array
-    weight: Array
+    variance: Array
+    chi2: Array
 
 
 def refine(
-    beams: Beams,
-    index: Index,
-    starts: Index,
+    members: Members,
     lines: Lines,
     laser: LaserConfig,
+    keep: Mask | None = None,
     uneven: Array | None = None,
-    keep: NDArray[np.bool_] | None = None,
 ) -> Fit:
     """One Gauss-Newton step of the maximum likelihood fit of ranges along known bearings.
 
-    The noise acts along the beam, so that the point is compared with where its beam meets the
-    line; perpendicular to the wall the noise is sigma_r cos(incidence), which must come from the
-    line and not from the measured range, or far points pull the line outwards. Seen from the
-    centre the residual n . p - d changes by s dalpha - dd when the line turns and moves.
+    The noise acts along the beam, so that a point is compared with where its beam meets the line;
+    perpendicular to the wall the noise is sigma_r cos(incidence), which must come from the line
+    and not from the measured range, or far points pull the line outwards. Seen from the centre
+    the residual n . p - d changes by s dalpha - dd when the line turns and moves.
 
     Args:
-        beams: the block.
-        index: (M,) points, segment after segment.
-        starts: (K,) where each segment begins in `index`.
-        lines: (K,) the lines to start from.
+        members: the points of each segment.
+        lines: (K,) the lines to start from; the step is quadratic, so one from a fit to the same
+            points up to noise is enough.
         laser: noise of ranges and bearings.
-        uneven: (K,) variance of the wall itself, added to each point's.
         keep: (M,) points that count; all if None.
+        uneven: (K,) variance of the wall itself, added to that of each point.
     """
-    counts = np.diff(starts, append=len(index))
-    nx, ny, d = (np.repeat(v, counts) for v in lines)
-    x, y, ux, uy = beams.x[index], beams.y[index], beams.dx[index], beams.dy[index]
-    residual = nx * x + ny * y - d
-    cosine = np.maximum(nx * ux + ny * uy, GRAZING)
+    nx, ny, d = (members.spread(v) for v in lines)
+    x, y, ux, uy = members.x, members.y, members.ux, members.uy
+    residual = nx * x
+    residual += ny * y
+    residual -= d
+    cosine = nx * ux
+    cosine += ny * uy
+    np.maximum(cosine, GRAZING, out=cosine)
+    along = nx * uy
+    along -= ny * ux  # the beam's component along the wall
     off_beam = residual / cosine
-    along = nx * uy - ny * ux  # the beam's component along the wall
-    s = nx * y - ny * x - off_beam * along
-    sigma = laser.sigma_range * np.ones(1)
+    reach = members.r - off_beam
+    s = reach * along
     if laser.sigma_range_scale or laser.sigma_bearing:
-        reach = np.abs(beams.r[index] - off_beam)
-        sigma = laser.sigma_range + laser.sigma_range_scale * reach
-        variance = (sigma * cosine) ** 2 + (laser.sigma_bearing * reach * along) ** 2
+        variance = (laser.sigma_range + laser.sigma_range_scale * np.abs(reach)) * cosine
+        variance *= variance
+        variance += (laser.sigma_bearing * s) ** 2
     else:
-        variance = (sigma * cosine) ** 2
+        variance = laser.sigma_range * cosine
+        variance *= variance
     if uneven is not None:
-        variance += np.repeat(uneven, counts)
+        variance += members.spread(uneven)
     weight = 1.0 / variance
     if keep is not None:
         weight *= keep
     ws, we = weight * s, weight * residual
-    W = np.add.reduceat(weight, starts)
-    Ws, We = np.add.reduceat(ws, starts), np.add.reduceat(we, starts)
-    Wss, Wes = np.add.reduceat(ws * s, starts), np.add.reduceat(we * s, starts)
+    W, Ws, We = members.total(weight), members.total(ws), members.total(we)
+    Wss, Wes, Wee = members.total(ws * s), members.total(we * s), members.total(we * residual)
     s0, dd = Ws / W, We / W
     Sss = Wss - Ws * s0
-    turn = -(Wes - We * s0) / Sss
+    Ses = Wes - We * s0
+    turn = -Ses / Sss
     n0x, n0y, d0 = lines
     cx = (d0 + dd) * n0x - s0 * n0y
     cy = (d0 + dd) * n0y + s0 * n0x
     c, sn = np.cos(turn), np.sin(turn)
     n1x, n1y = c * n0x - sn * n0y, sn * n0x + c * n0y
     fitted = Lines(n1x, n1y, n1x * cx + n1y * cy)
-    return Fit(fitted, cx, cy, 1.0 / Sss, 1.0 / W, residual, weight)
+    residual += members.spread(turn) * s
+    residual -= members.spread(turn * s0 + dd)
+    chi2 = np.maximum(Wee - We * dd - Ses * Ses / Sss, 0.0)
+    return Fit(fitted, cx, cy, 1.0 / Sss, 1.0 / W, residual, variance, chi2)

@@ -14,22 +14,29 @@ from hiermap_cli.geometry.se2 import wrap
 from hiermap_cli.perception.beams import arrange, concatenated_ranges
 from hiermap_cli.perception.breakpoints import breakpoints
 from hiermap_cli.perception.ends import describe_ends
-from hiermap_cli.perception.fitting import fit_moments, point_moments, prefix_sums, refine
+from hiermap_cli.perception.fitting import fit_moments, gather, refine
+from hiermap_cli.perception.merging import merge
 from hiermap_cli.perception.segments import SegmentBlock
-from hiermap_cli.perception.splitting import keep_segments, merge, split
-from hiermap_cli.perception.trimming import core_mask, place_boundaries, tails_to_drop
+from hiermap_cli.perception.splitting import split
+from hiermap_cli.perception.trimming import gain_points, inner_lines, place_boundaries
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import LaserConfig, SegmentationConfig
-    from hiermap_cli.logs.records import ScanBlock
+    from hiermap_cli.logs.records import Mount, ScanBlock
     from hiermap_cli.perception.beams import Beams
-    from hiermap_cli.perception.fitting import Fit
-    from hiermap_cli.perception.splitting import Pieces
+    from hiermap_cli.perception.fitting import Fit, Lines, Members
+    from hiermap_cli.perception.merging import Pieces
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
+
+# glibc gives freed arrays of more than 128 kB back to the system, and every new one then costs its
+# page faults: half of all the time here. A large block freed once, never touched, raises that
+# bound to its own size (mallopt(3), M_MMAP_THRESHOLD) for the life of the process.
+np.empty(31 << 20, dtype=np.uint8)
 
 
 def segment_block(block: ScanBlock, laser: LaserConfig, config: SegmentationConfig) -> SegmentBlock:
@@ -44,69 +51,112 @@ def segment_block(block: ScanBlock, laser: LaserConfig, config: SegmentationConf
     if not len(beams.cell):
         return _empty()
     breaks = breakpoints(beams, laser, config)
-    sums, values = prefix_sums(beams), point_moments(beams)
     runs = split(beams, breaks, laser, config)
-    pieces = merge(beams, sums, values, runs, laser, config)
-    pieces = keep_segments(pieces, pieces.sums[0] >= config.min_points)
+    pieces = merge(beams, runs, laser, config)
     if not len(pieces.first):
         return _empty()
-    first, last = place_boundaries(beams, sums, values, breaks, pieces)
-    return _measure(beams, block, pieces, first, last, laser, config)
+    members, lines = _members(beams, breaks, pieces, laser, config)
+    if not len(members.starts):
+        return _empty()
+    fit = _final_fit(members, lines, laser, config)
+    return _describe(beams, members, fit, block.mount, laser, config)
 
 
-def _measure(
+def _members(
     beams: Beams,
-    block: ScanBlock,
+    breaks: Mask,
     pieces: Pieces,
-    first: Index,
-    last: Index,
+    laser: LaserConfig,
+    config: SegmentationConfig,
+) -> tuple[Members, Lines]:
+    """The points of each segment in the end, and lines of the inner ones."""
+    first, last = place_boundaries(beams, breaks, pieces)
+    owner = pieces.run_segment
+    lines = fit_moments(pieces.sums)
+    first, last = gain_points(beams, breaks, lines.take(owner), (first, last, owner), laser, config)
+    # Of a wall across the seam the runs before the seam come first.
+    order = np.lexsort((first, pieces.run_first < pieces.first[owner], owner))
+    first, last, owner = first[order], last[order], owner[order]
+    run_counts = np.maximum(last - first + 1, 0)
+    counts = np.bincount(owner, run_counts, minlength=len(pieces.first)).astype(np.int64)
+    enough = counts >= config.min_points
+    kept = enough[owner] & (run_counts > 0)
+    number = np.cumsum(enough) - 1
+    first, last, owner = first[kept], last[kept], number[owner[kept]]
+    counts = counts[enough]
+    if not len(counts):
+        return gather(beams, first, counts), lines.take(first)
+
+    index = concatenated_ranges(first, last - first + 1)
+    members = gather(beams, index, counts)
+    lines, foretold = inner_lines(members)
+    if not foretold.all():
+        counts = members.total(foretold)
+        enough = counts >= config.min_points
+        foretold &= members.spread(enough)
+        members, lines = gather(beams, index[foretold], counts[enough]), lines.take(enough)
+    return members, lines
+
+
+def _final_fit(
+    members: Members, lines: Lines, laser: LaserConfig, config: SegmentationConfig
+) -> Fit:
+    """Maximum likelihood lines; outliers do not count, and walls may be uneven.
+
+    Walls are not lines: where the residuals are larger than the sensor's noise can make them
+    (their chi-square by more than five sigmas), what exceeds it is taken for white unevenness of
+    the wall, and the fit is weighted and its covariance stated with it.
+    """
+    fit = refine(members, lines, laser)
+    freedom = np.maximum(members.counts - 2.0, 1.0)
+    ratio = fit.residual * fit.residual
+    ratio /= fit.variance
+    bound = config.outlier_sigmas**2 * np.maximum(fit.chi2 / freedom, 1.0)
+    keep = ratio <= members.spread(bound)
+    again = members.total(keep) < members.counts
+    again |= _is_rough(fit.chi2, freedom)
+    if not again.any():
+        return fit
+    members, here = members.of(again)
+    keep = keep[here]
+    freedom = np.maximum(members.total(keep) - 2.0, 1.0)
+    square = fit.residual[here] ** 2
+    excess = (members.total(square * keep) - members.total(fit.variance[here] * keep)) / freedom
+    uneven = np.where(
+        _is_rough(members.total(ratio[here] * keep), freedom), np.maximum(excess, 0.0), 0.0
+    )
+    better = refine(members, fit.lines.take(again), laser, keep, uneven)
+    for old, new in zip((*fit.lines, *fit[1:5]), (*better.lines, *better[1:5]), strict=True):
+        old[again] = new
+    return fit
+
+
+def _is_rough(chi2: Array, freedom: Array) -> Mask:
+    """Whether residuals are larger than noise makes them: by five sigmas of their chi-square."""
+    return np.asarray(chi2 > freedom + 5.0 * np.sqrt(2.0 * freedom) + 10.0)
+
+
+def _describe(
+    beams: Beams,
+    members: Members,
+    fit: Fit,
+    mount: Mount,
     laser: LaserConfig,
     config: SegmentationConfig,
 ) -> SegmentBlock:
-    """Final fits, ends and filters of the segments whose runs are `first..last`."""
-    order = np.lexsort((first, pieces.run_segment))
-    first, last, owner = first[order], last[order], pieces.run_segment[order]
-    index = concatenated_ranges(first, last - first + 1)
-    segment = np.repeat(owner, last - first + 1)
-    index, segment, starts, _ = _gather(index, segment, config.min_points)
-    if not len(starts):
-        return _empty()
-
-    # Lines of the inner points judge the tails; two steps reach full accuracy.
-    counts = np.diff(starts, append=len(index))
-    lines = fit_moments(np.add.reduceat(point_moments(beams)[:, index], starts, axis=1))
-    core = core_mask(starts, counts)
-    for _ in range(2):
-        lines = refine(beams, index, starts, lines, laser, keep=core).lines
-    nx, ny, d = (np.repeat(v, counts) for v in lines)
-    x, y = beams.x[index], beams.y[index]
-    residual = nx * x + ny * y - d
-    cosine = np.maximum(nx * beams.dx[index] + ny * beams.dy[index], 0.01)
-    kept = tails_to_drop(index, starts, residual, cosine, nx * y - ny * x)
-    segment = np.repeat(np.arange(len(starts)), counts)
-    index, segment, starts, ids = _gather(index[kept], segment[kept], config.min_points)
-    lines = lines.take(ids)
-    if not len(starts):
-        return _empty()
-    counts = np.diff(starts, append=len(index))
-    fit = refine(beams, index, starts, lines, laser)
-    lines = fit.lines
-    fit = refine(beams, index, starts, lines, laser)
-    uneven, keep = _unevenness(fit, starts, counts, config)
-    fit = refine(beams, index, starts, lines, laser, uneven, keep)
-    fit = refine(beams, index, starts, fit.lines, laser, uneven, keep)
-
-    begin, end = index[starts], index[starts + counts - 1]
+    """Segments that are long enough, with their ends, in the robot's frame."""
+    begin = members.point[members.starts]
+    end = members.point[members.starts + members.counts - 1]
     extent = np.hypot(beams.x[end] - beams.x[begin], beams.y[end] - beams.y[begin])
     good = np.flatnonzero(extent >= config.min_length)
-    begin, end, counts = begin[good], end[good], counts[good]
+    begin, end = begin[good], end[good]
     lines = fit.lines.take(good)
     ends = describe_ends(beams, begin, end, lines, laser, config)
-    mount = np.array([block.mount.x, block.mount.y])
+    origin = np.array([mount.x, mount.y])
     nx, ny, d = lines
     covariance = np.zeros((len(good), 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = fit.var_alpha[good], fit.var_d[good]
-    points = np.stack((ends.x, ends.y), axis=2) + mount
+    points = np.stack((ends.x, ends.y), axis=2) + origin
     return SegmentBlock(
         scan=beams.cell[begin] // beams.ranges.shape[1],
         first_beam=beams.beam(beams.cell[begin]),
@@ -114,10 +164,10 @@ def _measure(
         p1=points[:, 0],
         p2=points[:, 1],
         alpha=wrap(np.arctan2(ny, nx)),
-        d=d + nx * mount[0] + ny * mount[1],
-        centre=np.stack((fit.cx, fit.cy), axis=1)[good] + mount,
+        d=d + nx * origin[0] + ny * origin[1],
+        centre=np.stack((fit.cx, fit.cy), axis=1)[good] + origin,
         covariance=covariance,
-        points=counts,
+        points=members.counts[good],
         length=np.hypot(*(points[:, 1] - points[:, 0]).T),
         end1=ends.kind[:, 0],
         end2=ends.kind[:, 1],
@@ -125,51 +175,23 @@ def _measure(
     )
 
 
-def _gather(index: Index, segment: Index, least: int) -> tuple[Index, Index, Index, Index]:
-    """Points of the segments that have at least `least`: index, segment, starts, segment ids."""
-    enough = (np.bincount(segment, minlength=1) >= least)[segment]
-    index, segment = index[enough], segment[enough]
-    starts = np.flatnonzero(np.diff(segment, prepend=-1))
-    return index, segment, starts, segment[starts]
-
-
-def _unevenness(
-    fit: Fit, starts: Index, counts: Index, config: SegmentationConfig
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Variance of each wall itself beyond the sensor's noise (K,), and the points that count (M,).
-
-    Walls are not lines: where the residuals are larger than the noise can explain (beyond five
-    sigmas of their chi-square), what exceeds it is taken for white unevenness of the wall.
-    """
-    square = fit.residual**2
-    freedom = np.maximum(counts - 2, 1)
-    chi = np.sqrt(np.add.reduceat(square * fit.weight, starts) / freedom)
-    bound = config.outlier_sigmas * np.repeat(np.maximum(chi, 1.0), counts)
-    keep = square * fit.weight <= bound * bound
-    kept = square * keep
-    freedom = np.maximum(np.add.reduceat(keep.astype(np.int64), starts) - 2, 1)
-    chi2 = np.add.reduceat(kept * fit.weight, starts)
-    rough = chi2 > freedom + 5.0 * np.sqrt(2.0 * freedom) + 10.0
-    excess = np.add.reduceat(kept - keep / fit.weight, starts) / freedom
-    return np.where(rough, np.maximum(excess, 0.0), 0.0), keep
-
-
 def _empty() -> SegmentBlock:
     """No segments."""
     none = np.zeros(0, dtype=np.int64)
+    pairs = np.zeros((0, 2))
     return SegmentBlock(
-        none,
-        none,
-        none,
-        np.zeros((0, 2)),
-        np.zeros((0, 2)),
-        np.zeros(0),
-        np.zeros(0),
-        np.zeros((0, 2)),
-        np.zeros((0, 2, 2)),
-        none,
-        np.zeros(0),
-        none,
-        none,
-        np.zeros((0, 2)),
+        scan=none,
+        first_beam=none,
+        last_beam=none,
+        p1=pairs,
+        p2=pairs,
+        alpha=np.zeros(0),
+        d=np.zeros(0),
+        centre=pairs,
+        covariance=np.zeros((0, 2, 2)),
+        points=none,
+        length=np.zeros(0),
+        end1=none,
+        end2=none,
+        end_sigma=pairs,
     )
