@@ -89,7 +89,7 @@ def run_log(
         UsageError: `output` exists and `force` is not given, or cannot be written.
         OutputError: the disk is full.
     """
-    from hiermap_cli.mapping.mapper import map_log
+    from hiermap_cli.mapping.run import map_log
 
     observer = observer or Observer()
     clock = _Clock()

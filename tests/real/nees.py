@@ -32,7 +32,7 @@ from hiermap_cli.evaluation.consistency import (
 )
 from hiermap_cli.evaluation.trajectory import ate
 from hiermap_cli.geometry.se2 import compose, invert, wrap
-from hiermap_cli.mapping.mapper import map_log
+from hiermap_cli.mapping.run import map_log
 from hiermap_cli.simulation.simulator import simulate
 from hiermap_cli.simulation.world import load_world
 

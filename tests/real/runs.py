@@ -102,7 +102,7 @@ class Watched:
 
 def measure(name: str, config: Config, seed: int = 0) -> dict[str, Any]:
     """Makes the map of a real log or world and judges it."""
-    from hiermap_cli.mapping.mapper import map_log
+    from hiermap_cli.mapping.run import map_log
 
     if name in REAL_LOGS:
         from hiermap_cli.logs.recording import open_recording

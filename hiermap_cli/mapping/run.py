@@ -1,0 +1,36 @@
+"""The whole job on values: scans in, the three levels and the trajectory out."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from hiermap_cli.mapping.assembly import assemble
+from hiermap_cli.mapping.mapper import run_filter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from hiermap_cli.config import Config
+    from hiermap_cli.logs.records import ScanBlock
+    from hiermap_cli.mapping.model import MapResult
+
+
+def map_log(
+    blocks: Iterable[ScanBlock], config: Config, progress: Callable[[int], None] | None = None
+) -> MapResult:
+    """Builds the map of a log's scans, in the order of time.
+
+    Args:
+        blocks: scans joined with odometry; gone through once.
+        config: of the whole run.
+        progress: told the number of scans worked off, after each block.
+
+    Raises:
+        InputError: there is no scan.
+    """
+    mapper, timing = run_filter(blocks, config, progress)
+    begin = time.process_time()
+    result = assemble(mapper)
+    return replace(result, timing={**timing, "assembly": time.process_time() - begin})
