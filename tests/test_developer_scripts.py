@@ -67,7 +67,7 @@ def test_the_table_has_a_row_a_run_and_names_its_faults() -> None:
 
 def test_a_run_that_fails_is_told_with_its_reason() -> None:
     table = load("table")
-    row = table.run("no such world", None, 60.0)
+    row = table.run("no such world")
     assert row["name"] == "no such world"
     assert "no such world" in row["fault"]
 

@@ -100,8 +100,8 @@ class Watched:
         return np.concatenate(self._stamps), np.concatenate(self._odometry)
 
 
-def measure(name: str, config: Config, seed: int = 0) -> dict[str, Any]:
-    """Makes the map of a real log or world and judges it."""
+def measure(name: str, config: Config, seed: int = 0, save: Path | None = None) -> dict[str, Any]:
+    """Makes the map of a real log or world and judges it; `save` is a folder for its files."""
     from hiermap_cli.mapping.run import map_log
 
     if name in REAL_LOGS:
@@ -120,6 +120,11 @@ def measure(name: str, config: Config, seed: int = 0) -> dict[str, Any]:
     result = map_log(watched, config)
     seconds = time.process_time() - made
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    if save is not None:
+        from hiermap_cli.documents.results import write_result
+
+        (save / name).mkdir(parents=True, exist_ok=True)
+        write_result(save / name, result)
     stamps_ns, odometry = watched.odometry()
     figures: dict[str, Any] = {
         "name": name,
@@ -258,9 +263,11 @@ def main() -> None:
     parser.add_argument("name")
     parser.add_argument("--config", type=Path)
     parser.add_argument("--seed", type=int, default=0, help="of a simulated world")
+    parser.add_argument("--save", type=Path, help="folder to write model and trajectories into")
     given = parser.parse_args()
     config = Config() if given.config is None else load_config(given.config)
-    json.dump(_plain(measure(given.name, config, given.seed)), sys.stdout, allow_nan=False)
+    figures = measure(given.name, config, given.seed, given.save)
+    json.dump(_plain(figures), sys.stdout, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:

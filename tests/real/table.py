@@ -1,6 +1,6 @@
 """`make real`: runs every real log and every world, and prints one table.
 
-    python tests/real/table.py [NAME...] [--config FILE] [--json]
+    python tests/real/table.py [NAME...] [--config FILE] [--save DIR] [--json]
 
 Where a column has three figures they are of raw odometry / the filter / the final trajectory.
 Trajectories are in metres against slam_reference.tum (no truth, good to some 5 cm) or, for the
@@ -32,11 +32,14 @@ def names_here() -> list[str]:
     return names()
 
 
-def run(name: str, config: Path | None, limit: float) -> dict[str, Any]:
+def run(
+    name: str, config: Path | None = None, save: Path | None = None, limit: float = 900.0
+) -> dict[str, Any]:
     """The figures of one run, or its fault."""
     command = [sys.executable, str(RUNS), name]
-    if config is not None:
-        command += ["--config", str(config)]
+    for option, value in (("--config", config), ("--save", save)):
+        if value is not None:
+            command += [option, str(value)]
     try:
         done = subprocess.run(
             command,
@@ -128,20 +131,26 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def _is_asked(name: str, asked: list[str], here: list[str]) -> bool:
+    """By its name, or by the beginning of it where no run has exactly that name."""
+    return name in asked or any(name.startswith(word) for word in asked if word not in here)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description="runs all logs and worlds, prints one table")
     parser.add_argument("names", nargs="*", help="only these, by name or beginning of it")
     parser.add_argument("--config", type=Path)
     parser.add_argument("--json", action="store_true", help="all figures as JSON")
+    parser.add_argument("--save", type=Path, help="folder for model and trajectories of each")
     parser.add_argument("--limit", type=float, default=900.0, help="seconds for one run")
     given = parser.parse_args()
     here = names_here()
-    chosen = [n for n in here if not given.names or any(n.startswith(w) for w in given.names)]
+    chosen = [name for name in here if not given.names or _is_asked(name, given.names, here)]
     if not chosen:
         sys.stderr.write("nothing to run: there are " + (", ".join(here) or "no logs") + "\n")
         return 0 if not given.names else 2
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        rows = list(pool.map(lambda name: run(name, given.config, given.limit), chosen))
+        rows = list(pool.map(lambda name: run(name, given.config, given.save, given.limit), chosen))
     sys.stdout.write((json.dumps(rows, indent=1) if given.json else table(rows)) + "\n")
     return 1 if any("fault" in row for row in rows) else 0
 
