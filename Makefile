@@ -13,7 +13,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 export MKL_NUM_THREADS = 1
 
-DEMO_LOG = datasets/ring.mcap
+DEMO_LOG = datasets/ring/log.mcap
 DATASETS = ring room_corridor room
 SCHEMAS = model report eval reference summary jobs
 
@@ -73,10 +73,8 @@ real: $(VENV)/.development
 	$(BIN)/python tests/real/table.py
 
 datasets: $(VENV)/.runtime
-	@mkdir -p $(OUT)
 	for name in $(DATASETS); do \
-		$(BIN)/hiermap simulate datasets/$$name.yaml -o $(OUT)/$$name --force && \
-		cp $(OUT)/$$name/log.mcap datasets/$$name.mcap || exit 1; \
+		$(BIN)/hiermap simulate datasets/$$name.yaml -o datasets/$$name --seed 1 --force || exit 1; \
 	done
 
 schemas: $(VENV)/.runtime
