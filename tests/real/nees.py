@@ -138,10 +138,14 @@ def report(rows: list[dict[str, Any]]) -> str:
         lines.append("        along the run " + " ".join(f"{value:.2f}" for value in profile))
     counts = np.array([row["landmarks"]["n"] for row in rows])
     landmarks = np.array([row["landmarks"]["nees"] for row in rows])
-    lines.append(
-        f"nees_landmarks mean {np.nanmean(landmarks):.3f}  median {np.nanmedian(landmarks):.3f}"
-        f"  worst {np.nanmax(landmarks):.2f}  matched {counts.mean():.1f} a run"
-    )
+    if counts.any():
+        lines.append(
+            f"nees_landmarks mean {np.nanmean(landmarks):.3f}"
+            f"  median {np.nanmedian(landmarks):.3f}  worst {np.nanmax(landmarks):.2f}"
+            f"  matched {counts.mean():.1f} a run"
+        )
+    else:
+        lines.append("nees_landmarks: no corner or door of the model matches a true one")
     areas, doors = ([row[key] for row in rows] for key in ("areas", "doors"))
     lines.append(f"areas {_counts(areas)}  doors {_counts(doors)}")
     return "\n".join(lines)
