@@ -100,11 +100,14 @@ def _start_heading(spec: WorldSpec) -> float:
 def _cut(leg: Leg, at: float, stand: float) -> Leg:
     """The leg up to `at`, and `stand` seconds where it is then."""
     kept = leg.knots_t < at
-    s = float(np.interp(at, leg.knots_t, leg.knots_s))
+    s = float(leg.way(np.array([at]))[0])
+    run_out = float(leg.knots_s[kept][-1]), float(leg.knots_t[kept][-1])
+    speed = max(2.0 * (s - run_out[0]) / (at - run_out[1]) - float(leg.knots_v[kept][-1]), 0.0)
     return replace(
         leg,
-        knots_t=np.array([*leg.knots_t[kept], at, at + stand]),
-        knots_s=np.array([*leg.knots_s[kept], s, s]),
+        knots_t=np.array([*leg.knots_t[kept], at, at, at + stand]),
+        knots_s=np.array([*leg.knots_s[kept], s, s, s]),
+        knots_v=np.array([*leg.knots_v[kept], speed, 0.0, 0.0]),
     )
 
 

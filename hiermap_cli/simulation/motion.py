@@ -3,7 +3,7 @@
 The way is made of straight lines, arcs that round off a way point where the robot does not stop,
 and turns on the spot. Along each unbroken stretch the speed rises and falls within the robot's
 acceleration. Everything is closed-form in the way s (metres, or radians on the spot), and s is a
-piecewise linear function of time.
+function of time whose acceleration is constant from knot to knot.
 """
 
 from __future__ import annotations
@@ -29,13 +29,14 @@ _STEP = 0.02  # metres or radians between the knots of s(t)
 _LEAST_RADIUS = 0.05  # metres; a tighter arc is a turn on the spot
 _MOST_ARC = 2.1  # radians; what turns more is turned on the spot
 _LEAST_TURN = 1e-9  # radians
+_LEAST_SPEED = 1e-6  # between two halts, against rounding
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
     """A stretch of the journey between two moments at which the robot is carried.
 
-    knots_t, knots_s: (K,) seconds from the start and the way s, both increasing.
+    knots_t, knots_s, knots_v: (K,) seconds from the start, the way s and its speed there.
     piece_s: (P,) s at which each piece begins; piece_pose: (P, 3) the pose there, world frame;
     piece_twist: (P, 3) body velocity per unit of s: [1, 0, w] driving, [0, 0, +-1] on the spot.
     arrivals: (n, 2) seconds at which each way point of the leg is reached and left.
@@ -43,6 +44,7 @@ class Leg:
 
     knots_t: Array
     knots_s: Array
+    knots_v: Array
     piece_s: Array
     piece_pose: Array
     piece_twist: Array
@@ -60,10 +62,21 @@ class Leg:
 
     def poses(self, seconds: Array) -> Array:
         """Poses (..., 3) in the world frame; before and after the leg those of its ends."""
-        s = np.interp(seconds, self.knots_t, self.knots_s)
+        s = self.way(seconds)
         piece = np.clip(np.searchsorted(self.piece_s, s, side="right") - 1, 0, None)
         run = (s - self.piece_s[piece])[..., None] * self.piece_twist[piece]
         return compose(self.piece_pose[piece], exp(run))
+
+    def way(self, seconds: Array) -> Array:
+        """The way s at moments (...,)."""
+        t, s, v = self.knots_t, self.knots_s, self.knots_v
+        if len(t) == 1:
+            return np.full(np.shape(seconds), s[0])
+        k = np.clip(np.searchsorted(t, seconds, side="right") - 1, 0, len(t) - 2)
+        lasts = t[k + 1] - t[k]
+        since = np.clip(seconds - t[k], 0.0, lasts)
+        rise = np.divide(v[k + 1] - v[k], lasts, out=np.zeros_like(lasts), where=lasts > 0.0)
+        return np.minimum(s[k] + (v[k] + 0.5 * rise * since) * since, s[k + 1])
 
 
 class _Route:
@@ -77,7 +90,7 @@ class _Route:
         self.s = 0.0
         # Stretches that end standing: (s at the end, seconds to wait there).
         self.halts: list[tuple[float, float]] = []
-        self.marks: list[tuple[float, bool]] = []  # s of each way point, whether it is a halt
+        self.marks: list[float] = []  # s of each way point
 
     def lay(self, length: float, twist: tuple[float, float, float]) -> None:
         if length <= _LEAST_TURN:
@@ -131,12 +144,12 @@ def drive(
         if arc is None:
             route.lay(distance, (1.0, 0.0, 0.0))
             route.halt(point.stop)
-            route.marks.append((route.s, True))
+            route.marks.append(route.s)
             continue
         radius, angle, tangent = arc
         route.lay(distance - tangent, (1.0, 0.0, 0.0))
         length = radius * abs(angle)
-        route.marks.append((route.s + 0.5 * length, False))
+        route.marks.append(route.s + 0.5 * length)
         route.lay(length, (1.0, 0.0, math.copysign(1.0 / radius, angle)))
     route.halt(0.0)
     return _timed(route, robot, begin)
@@ -172,40 +185,39 @@ def _timed(route: _Route, robot: RobotSpec, begin: float) -> Leg:
     piece_s = np.array([*route.starts, route.s])
     twists = np.array([*route.twists, (0.0, 0.0, 0.0)], dtype=float)
     poses = np.array([*route.poses, route.pose], dtype=float)
-    knots_t, knots_s = [np.array([begin])], [np.array([0.0])]
+    marks = np.array(route.marks)
+    knots_t, knots_s, knots_v = [np.array([begin])], [np.zeros(1)], [np.zeros(1)]
     now, s_from = begin, 0.0
     for s_to, wait in route.halts:
         if s_to > s_from:
-            s = _grid(s_from, s_to, piece_s)
-            seconds = now + _duration(s, piece_s, twists, robot)
-            knots_t.append(seconds[1:])
+            s = _grid(s_from, s_to, np.concatenate((piece_s, marks)))
+            v = _speeds(s, piece_s, twists, robot)
+            seconds = now + np.cumsum(2.0 * np.diff(s) / (v[1:] + v[:-1]))
+            knots_t.append(seconds)
             knots_s.append(s[1:])
+            knots_v.append(v[1:])
             now, s_from = float(seconds[-1]), s_to
         if wait > 0.0:
             now += wait
             knots_t.append(np.array([now]))
             knots_s.append(np.array([s_to]))
+            knots_v.append(np.zeros(1))
     t, s = np.concatenate(knots_t), np.concatenate(knots_s)
-    arrivals = []
-    for mark, halted in route.marks:
-        first, last = np.searchsorted(s, mark, "left"), np.searchsorted(s, mark, "right") - 1
-        if halted:
-            arrivals.append((t[first], t[last]))
-        else:
-            arrivals.append((float(np.interp(mark, s, t)),) * 2)
-    return Leg(t, s, piece_s, poses, twists, np.array(arrivals).reshape(-1, 2))
+    reached, left = np.searchsorted(s, marks, "left"), np.searchsorted(s, marks, "right") - 1
+    arrivals = np.column_stack((t[reached], t[left]))
+    return Leg(t, s, np.concatenate(knots_v), piece_s, poses, twists, arrivals)
 
 
-def _grid(s_from: float, s_to: float, piece_s: Array) -> Array:
-    """Knots from one halt to the next, with one where each piece begins."""
+def _grid(s_from: float, s_to: float, among: Array) -> Array:
+    """Knots from one halt to the next, evenly spaced and at each of `among` between them."""
     count = max(2, math.ceil((s_to - s_from) / _STEP))
     grid = np.linspace(s_from, s_to, count + 1)
-    inner = piece_s[(piece_s > s_from) & (piece_s < s_to)]
+    inner = among[(among > s_from) & (among < s_to)]
     return np.union1d(grid, inner)
 
 
-def _duration(s: Array, piece_s: Array, twists: Array, robot: RobotSpec) -> Array:
-    """Seconds (K,) from standing at s[0] to standing at s[-1], at each knot.
+def _speeds(s: Array, piece_s: Array, twists: Array, robot: RobotSpec) -> Array:
+    """Speed (K,) at each knot, from standing at s[0] to standing at s[-1].
 
     v^2 is bounded at every knot by the piece's own limit and by what the acceleration allows
     from every other knot: v^2(i) <= v^2(j) + 2 a |s_i - s_j|, a running minimum in both
@@ -224,6 +236,6 @@ def _duration(s: Array, piece_s: Array, twists: Array, robot: RobotSpec) -> Arra
     v2[0] = v2[-1] = 0.0
     v2 = np.minimum.accumulate(v2 - 2.0 * a * s) + 2.0 * a * s
     v2 = np.minimum.accumulate((v2 + 2.0 * a * s)[::-1])[::-1] - 2.0 * a * s
-    v = np.sqrt(np.maximum(v2, 0.0))
-    seconds = 2.0 * np.diff(s) / np.maximum(v[1:] + v[:-1], 1e-9)
-    return np.concatenate(([0.0], np.cumsum(seconds)))
+    speeds: Array = np.sqrt(np.maximum(v2, _LEAST_SPEED**2))
+    speeds[0] = speeds[-1] = 0.0
+    return speeds

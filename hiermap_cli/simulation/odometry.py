@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiermap_cli.geometry.se2 import compose, exp, invert, log
+from hiermap_cli.geometry.se2 import compose, exp, log
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -91,15 +91,14 @@ def _with_noise(increments: Array, spec: OdometrySpec, rng: np.random.Generator)
 def _with_bends(increments: Array, seconds: Array, journey: Journey, spec: OdometrySpec) -> Array:
     """Increments (n, 3) between `seconds` (n + 1,) with the accidents that fall among them.
 
-    A bend `b` is spread as exp(f log b), f rising from 0 to 1, so that whatever the robot does
-    meanwhile its odometry ends at (what it would be) o b.
+    A bend is a false motion that follows the true one of an increment, in the robot's frame; one
+    that lasts is spread over its time as shares of the bend's twist. Later motion is read right.
     """
     for bend in spec.bends:
         middle = 0.5 * (journey.arrivals[bend.after, 1] + journey.arrivals[bend.after + 1, 0])
         begin = middle - 0.5 * bend.duration
-        share = np.clip((seconds - begin) / max(bend.duration, _NO_TIME), 0.0, 1.0)
-        if share[-1] <= 0.0 or share[0] >= 1.0:
-            continue
-        false = exp(share[:, None] * log(np.array(bend.bend)))
-        increments = compose(invert(false[:-1]), compose(increments, false[1:]))
+        done = np.clip((seconds - begin) / max(bend.duration, _NO_TIME), 0.0, 1.0)
+        share = np.diff(done)
+        if share.any():
+            increments = compose(increments, exp(share[:, None] * log(np.array(bend.bend))))
     return increments

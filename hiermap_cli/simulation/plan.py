@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hiermap_cli.simulation.spec import DoorSpec, FurnitureSpec, Shape, WorldSpec
+    from hiermap_cli.simulation.spec import DoorSpec, Shape, WorldSpec
 
     Array = NDArray[np.float64]
 
@@ -109,10 +109,8 @@ def build_plan(spec: WorldSpec, faults: list[str]) -> FloorPlan | None:
         for index, wall in enumerate(spec.walls)
         if _sound_shape(wall, f"walls[{index}]", faults)
     ]
-    if len(faults) > before:
-        return None
     doors = _doors(spec, areas, faults)
-    furniture = _furniture(spec.furniture, areas, faults)
+    furniture = _furniture(spec, areas, faults)
     if len(faults) > before:
         return None
     walls = boundary(
@@ -157,8 +155,7 @@ def _areas(spec: WorldSpec, faults: list[str]) -> list[Area]:
             faults.append(f"{place}: nothing is left inside walls of {2.0 * half:g} m")
             continue
         areas.append(Area(entry.id, entry.kind, inside, middle, outer))
-    low = np.array([area.inside.min(axis=0) for area in areas]).reshape(-1, 2)
-    high = np.array([area.inside.max(axis=0) for area in areas]).reshape(-1, 2)
+    low, high = _boxes(areas)
     for i, area in enumerate(areas):
         near = (low[:i] <= high[i]).all(axis=1) & (high[:i] >= low[i]).all(axis=1)
         faults.extend(
@@ -167,6 +164,13 @@ def _areas(spec: WorldSpec, faults: list[str]) -> list[Area]:
             if _overlap(area.inside, areas[j].inside)
         )
     return areas
+
+
+def _boxes(areas: Sequence[Area]) -> tuple[Array, Array]:
+    """Lowest and highest corner (n, 2) of each area's box."""
+    low = np.array([area.inside.min(axis=0) for area in areas]).reshape(-1, 2)
+    high = np.array([area.inside.max(axis=0) for area in areas]).reshape(-1, 2)
+    return low, high
 
 
 def _turned(before: Array, after: Array) -> bool:
@@ -183,6 +187,7 @@ def _overlap(a: Array, b: Array) -> bool:
 
 def _doors(spec: WorldSpec, areas: Sequence[Area], faults: list[str]) -> list[Door]:
     by_id = {area.id: area for area in areas}
+    named = {area.id for area in spec.areas}
     doors = []
     seen: set[str] = set()
     for index, entry in enumerate(spec.doors):
@@ -191,10 +196,10 @@ def _doors(spec: WorldSpec, areas: Sequence[Area], faults: list[str]) -> list[Do
             faults.append(f"{place}.id: '{entry.id}' is taken; give every door its own")
         seen.add(entry.id)
         names = [name for name in entry.areas if name != OUTSIDE]
-        unknown = [name for name in names if name not in by_id]
+        unknown = [name for name in names if name not in named]
         faults.extend(f"{place}.areas: there is no area '{name}'" for name in unknown)
-        if unknown:
-            continue
+        if any(name not in by_id for name in names):
+            continue  # an unknown area, or a faulty one that has been blamed itself
         if len(set(names)) != len(names) or not names:
             faults.append(f"{place}.areas: a door joins two different areas")
             continue
@@ -278,14 +283,12 @@ def _edge_at(area: Area, point: Array) -> _Edge | None:
     return _Edge(along, at, (low, high), depth)
 
 
-def _furniture(
-    entries: Sequence[FurnitureSpec], areas: Sequence[Area], faults: list[str]
-) -> list[Array]:
+def _furniture(spec: WorldSpec, areas: Sequence[Area], faults: list[str]) -> list[Array]:
     """Outlines (n, 2) of the furniture, counterclockwise, each inside one area."""
+    all_areas = len(areas) == len(spec.areas)  # else it may stand in one that is faulty
     out = []
-    low = np.array([area.inside.min(axis=0) for area in areas])
-    high = np.array([area.inside.max(axis=0) for area in areas])
-    for index, entry in enumerate(entries):
+    low, high = _boxes(areas)
+    for index, entry in enumerate(spec.furniture):
         place = f"furniture[{index}]"
         if not _sound_shape(entry, place, faults):
             continue
@@ -295,7 +298,7 @@ def _furniture(
         corners = (corners - centre) @ np.array([[c, s], [-s, c]]) + centre
         slim = centre + (corners - centre) * (1.0 - 1e-4)  # what only touches a wall is inside
         boxed = (low <= slim.min(axis=0)).all(axis=1) & (high >= slim.max(axis=0)).all(axis=1)
-        if not any(_holds(areas[int(k)].inside, slim) for k in np.flatnonzero(boxed)):
+        if all_areas and not any(_holds(areas[int(k)].inside, slim) for k in np.flatnonzero(boxed)):
             faults.append(f"{place}: does not stand inside one area")
             continue
         out.append(corners)
