@@ -77,6 +77,7 @@ class CarmenLog:
         self.losses: list[str] = []
         self._floats = _Floats()
         self._reach: dict[str, float] = {}
+        self._lasers: dict[tuple[str, int, float, float, float | None], LaserGeometry] = {}
 
     def topics(self) -> list[Topic]:
         """Topics met up to the first scan and odometry, and in at least the first lines."""
@@ -194,14 +195,22 @@ class CarmenLog:
         if raw.robot is not None:
             reading = Odometry(raw.stamp_ns, *raw.robot, frame="odom", child="base")
             yield Record(topic, raw.log_ns, reading)
-        reach = self._reach_of(topic)
-        if raw.range_max is not None:
-            reach = min(reach, float32(raw.range_max))
-        laser = LaserGeometry(
-            float32(raw.angle_min), float32(raw.angle_increment), len(raw.ranges), 0.0, reach
-        )
-        scan = Scan(raw.stamp_ns, translate(raw.ranges, 0.0, reach), laser, topic)
+        laser = self._laser_of(raw)
+        scan = Scan(raw.stamp_ns, translate(raw.ranges, 0.0, laser.range_max), laser, topic)
         yield Record(topic, raw.log_ns, scan)
+
+    def _laser_of(self, raw: RawScan) -> LaserGeometry:
+        key = (raw.topic, len(raw.ranges), raw.angle_min, raw.angle_increment, raw.range_max)
+        laser = self._lasers.get(key)
+        if laser is None:
+            reach = self._reach_of(raw.topic)
+            if raw.range_max is not None:
+                reach = min(reach, float32(raw.range_max))
+            start, step = float32(raw.angle_min), float32(raw.angle_increment)
+            laser = LaserGeometry(start, step, len(raw.ranges), 0.0, reach)
+            if len(self._lasers) < HEAD_SCANS:
+                self._lasers[key] = laser
+        return laser
 
     def _reach_of(self, topic: str) -> float:
         """The range at which the laser saturates, from its own first scans in the log."""
@@ -240,7 +249,9 @@ def _pose(texts: list[bytes]) -> Pose:
 def _stamps(rest: list[bytes]) -> tuple[int, int]:
     """The record's stamp and the recorder's, in nanoseconds; 0 where there is none to use."""
     stamp_ns = _stamp(rest[0]) if rest else 0
-    return stamp_ns, _stamp(rest[2]) if len(rest) > 2 else stamp_ns
+    if len(rest) < 3 or rest[2] == rest[0]:
+        return stamp_ns, stamp_ns
+    return stamp_ns, _stamp(rest[2])
 
 
 def _stamp(text: bytes) -> int:

@@ -12,23 +12,18 @@ def seconds_to_ns(text: bytes | str) -> int:
 
     Raises ValueError where the text is no finite decimal number, or beyond any clock.
     """
-    if isinstance(text, bytes):
-        text = text.decode("ascii", "replace")
-    whole, _, fraction = text.partition(".")
-    if whole.isdecimal() and whole.isascii() and (not fraction or _plain(fraction)):
-        stamp = int(whole) * 1_000_000_000
-        if fraction:
-            stamp += int(fraction[:9].ljust(9, "0"))
+    if isinstance(text, str):
+        text = text.encode("ascii", "replace")
+    whole, _, fraction = text.partition(b".")
+    # For bytes, isdigit means the ten ASCII digits.
+    if whole.isdigit() and fraction.isdigit() and len(whole) < 20:
+        stamp = int(whole + fraction[:9].ljust(9, b"0"))
     else:
-        stamp = _by_decimal(text)
+        stamp = _by_decimal(text.decode("ascii", "replace"))
     if abs(stamp) > LIMIT_NS:
         message = f"stamp out of range: {text!r}"
         raise ValueError(message)
     return stamp
-
-
-def _plain(digits: str) -> bool:
-    return digits.isdecimal() and digits.isascii()
 
 
 def _by_decimal(text: str) -> int:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 # "dazzled" and the like. A log without a stated maximum has this limit unless its data say
 # otherwise: no laser of these formats sees farther.
 SICK_FIRST_CODE = 81.83
+SICK_LAST_CODE = 81.91
 
 # Values at which known lasers and drivers saturate (metres), SICK's 8, 16, 32 and 80 m modes
 # among them. A saturation found in the data that is none of these needs stronger evidence.
@@ -32,6 +33,9 @@ KNOWN_MAXIMA = (
     25.0, 29.99, 30.0, 32.0, 32.766, 32.767, 40.0, 50.0, 60.0, 65.533, 65.535, 80.0, 81.0, 81.83,
     81.87, 81.9, 81.91,
 )  # fmt: skip
+
+_NOTHING = np.float32(np.inf)
+_LEAST = 1e-30  # metres; the least float32 that is not zero for anybody
 
 HEAD_SCANS = 64  # scans that `infer_range_max` is given by the readers
 
@@ -53,10 +57,10 @@ def translate(
 
     `range_min` and `range_max` must be numbers that float32 holds (`float32`).
     """
-    nearest = np.float32(max(range_min, 0.0))
-    out = np.where(ranges >= np.float32(range_max), np.float32(np.inf), ranges)
+    out = np.array(ranges, dtype=np.float32)
+    np.putmask(out, out >= np.float32(range_max), _NOTHING)
     # The comparison is written so that nan fails it, and zero too where range_min is zero.
-    keep = (out >= nearest) & (out > 0)
+    keep = out >= np.float32(max(range_min, _LEAST))
     if not keep.all():
         out[~keep] = np.nan
     return out
@@ -68,13 +72,16 @@ def infer_range_max(head: Sequence[NDArray[np.float32]]) -> float:
     The largest finite value of the first scans is a saturation if it is one of KNOWN_MAXIMA and
     occurs at least three times, or if it is any other value that occurs ten times and five times
     as often as all the values of the last tenth below it. Without a saturation the limit is
-    SICK_FIRST_CODE. The answer depends on the first scans alone, never on how a log is cut into
-    blocks.
+    SICK_FIRST_CODE; where most values are beyond what any laser sees, there is none. The answer
+    depends on the first scans alone, never on how a log is cut into blocks.
     """
     values = [r[np.isfinite(r) & (r > 0)] for r in head]
     pooled = np.concatenate(values) if values else np.empty(0, dtype=np.float32)
     if not len(pooled):
         return float32(SICK_FIRST_CODE)
+    if float(np.median(pooled)) > SICK_LAST_CODE:
+        # No laser sees so far: these are no metres. They are kept, for a person to see.
+        return float32(1e6)
     top = float(pooled.max())
     if top >= SICK_FIRST_CODE - 1e-4:
         return float32(SICK_FIRST_CODE)

@@ -14,6 +14,7 @@ from hiermap_cli.logs.detect import open_source
 from hiermap_cli.logs.join import in_blocks, join
 from hiermap_cli.logs.records import Odometry, Scan
 from hiermap_cli.logs.survey import Plan, make_plan, odometry_of
+from hiermap_cli.logs.watch import Watch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -63,6 +64,7 @@ class Recording:
         self.log = log
         self._options = options
         self._counts: Counter[str] = Counter()
+        self.watch: Watch | None = None
 
     @property
     def mount(self) -> Mount:
@@ -89,9 +91,13 @@ class Recording:
 
         Raises InputError at the end where no scan was read, or none with a valid range.
         """
+        # CARMEN's second stamp is the logger's own, which need not be of the same epoch.
+        one_epoch = self.source.format not in ("CARMEN", "Wean")
+        self.watch = Watch(self.mount, one_epoch=one_epoch)
         settled = self._within(in_time_order(self.timed(), self._counts))
-        joined = join(settled, self.plan.first_odometry, self._counts)
-        yield from in_blocks(joined, self.mount, self.plan.first_laser, size, self._counts)
+        joined = join(self.watch.records(settled), self.plan.first_odometry, self._counts)
+        blocks = in_blocks(joined, self.mount, self.plan.first_laser, size, self._counts)
+        yield from self.watch.blocks(blocks)
         self._check()
 
     def report(self) -> InputReport:
@@ -110,9 +116,16 @@ class Recording:
             scans=scans,
             odometry=odometry,
             dropped={reason: n for reason, n in sorted(counts.items()) if n},
-            warnings=self.plan.warnings,
+            warnings=(*self.plan.warnings, *self._late_warnings()),
             lost=tuple(self.source.losses),
         )
+
+    def _late_warnings(self) -> list[str]:
+        """What only reading shows."""
+        out = self.watch.warnings() if self.watch is not None else []
+        if n := self._counts["clock_set_back"]:
+            out.append(f"the clock was set back {n} times: later stamps are carried on from there")
+        return out
 
     def _chosen(self) -> Iterator[Record]:
         """Scans of the chosen topic and readings of the chosen odometry, faults counted."""

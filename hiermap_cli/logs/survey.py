@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 HEAD = 64  # scans, and odometry readings, that decide
 ODOMETRY_FRAMES = ("odom", "odometry", "odom_combined")
 BASE_FRAMES = ("base_link", "base_footprint", "base", "base_frame", "robot", "chassis")
+REAR = math.radians(120.0)  # a mount's yaw beyond which the laser looks to the rear
+FAR_MOUNT = 3.0  # metres
+FARTHEST_RANGE = 500.0  # metres
 DISAGREEMENT = 1 * SECOND  # between the header clocks of scans and odometry
 
 
@@ -92,6 +95,7 @@ def make_plan(source: Source, log: str, options: InputConfig) -> Plan:
     laser = next((laser for laser in seen if sound_geometry(laser)), None)
     if laser is None:
         raise InputError(f"{log}: no scan on {scans.name} has a single beam with a direction")
+    warnings += _mount_warnings(mount, laser)
     return Plan(
         scans.name,
         odometry,
@@ -213,6 +217,25 @@ def _mount(
         f"{scan_frame or 'laser'}): taken as the robot's own origin; give --mount x,y,yaw"
     )
     return Mount(), "assumed"
+
+
+def _mount_warnings(mount: Mount, laser: LaserGeometry) -> list[str]:
+    """What is unusual, and right only if the log or the configuration is."""
+    out = []
+    if abs(math.remainder(mount.yaw, 2.0 * math.pi)) > REAR:
+        out.append(f"the laser looks to the rear: mount yaw {math.degrees(mount.yaw):.0f} degrees")
+    if mount.flipped:
+        out.append("the laser is mounted upside down: its scans are mirrored")
+    elif laser.angle_increment < 0:
+        out.append("the laser's beams run clockwise: its angle increment is negative")
+    if math.hypot(mount.x, mount.y) > FAR_MOUNT:
+        out.append(
+            f"the laser is {math.hypot(mount.x, mount.y):.1f} m from the robot's origin: are "
+            "these centimetres?"
+        )
+    if laser.range_max > FARTHEST_RANGE:
+        out.append(f"the laser's stated reach is {laser.range_max:.0f} m: are these centimetres?")
+    return out
 
 
 def _choose_clock(scans: list[Record], readings: list[Record], warnings: list[str]) -> Clock:
