@@ -100,9 +100,12 @@ class Mapper:
         self._set(replace(self.area, V=predict(V, motion)))
         self._odometry = odometry
         self._observe(stamp_ns, view, suspect=suspect)
-        self.trail.key(stamp_ns, self.current, self.area.V)
+        self.trail.key(stamp_ns, self.current, self.area.V, motion)
         passed = Passing(stamp_ns, self.key, distance, left, right)
-        self.current = self.crossings.step(self.current, passed)
+        area = self.crossings.step(self.current, passed)
+        if area != self.current:
+            self.current = area
+            self.trail.enter(area, self.area.V)
 
     @property
     def portals(self) -> list[Portal]:
@@ -144,10 +147,7 @@ class Mapper:
     def _observe(self, stamp_ns: int, view: SegmentView, *, suspect: bool = False) -> None:
         step: Step = observe(self.area, view, self.key, self.config)
         if suspect or self._poor(view, step):
-            found = relocate(
-                self.area, view, self.config.relocation,
-                self.config.relocation.max_distance, self.config.relocation.max_turn,
-            )  # fmt: skip
+            found = relocate(self.area, view, self.config.relocation, suspect=suspect)
             if found is not None:
                 V = robot_found(self.area.V, found.pose, self.config.relocation)
                 again = observe(replace(self.area, V=V), view, self.key, self.config)

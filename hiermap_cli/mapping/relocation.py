@@ -64,11 +64,26 @@ def area_lines(area: AreaMap, least_seen: int) -> Lines:
     )
 
 
+def search_window(V: StochasticMap, config: RelocationConfig, *, suspect: bool) -> tuple[float, float]:
+    """Metres and radians about the prediction to search: all that is searched where odometry
+    is suspect, else what the prediction's covariance leaves open."""
+    if suspect:
+        return config.max_distance, config.max_turn
+    C = V.pose_covariance(0)
+    distance = config.window_sigmas * float(np.sqrt(max(C[0, 0] + C[1, 1], 0.0)))
+    turn = config.window_sigmas * float(np.sqrt(max(C[2, 2], 0.0)))
+    return (
+        min(max(distance, config.min_distance), config.max_distance),
+        min(max(turn, config.min_turn), config.max_turn),
+    )
+
+
 def relocate(
-    area: AreaMap, view: SegmentView, config: RelocationConfig, max_distance: float, max_angle: float
+    area: AreaMap, view: SegmentView, config: RelocationConfig, *, suspect: bool
 ) -> Hypothesis | None:
-    """The pose that explains the scan, within a distance and angle of the prediction, if one
-    explains it clearly; None where none does."""
+    """The pose that explains the scan, in the `search_window`, if one explains it clearly;
+    None where none does."""
+    max_distance, max_angle = search_window(area.V, config, suspect=suspect)
     lines = area_lines(area, config.least_seen)
     longest = np.argsort(-view.length, kind="stable")[:MAX_SEGMENTS]
     longest = longest[view.length[longest] >= config.min_length]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -12,14 +12,24 @@ from hiermap_cli.geometry import se2
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hiermap_cli.estimation.stochastic_map import StochasticMap
+    from hiermap_cli.estimation.stochastic_map import Motion, StochasticMap
 
     Array = NDArray[np.float64]
 
 
+class Base(NamedTuple):
+    """The last key scan, as the scans after it start from it: its stamp, area, and the robot's
+    pose (3,) and invariant covariance (3, 3) there."""
+
+    stamp_ns: int
+    area: int
+    pose: Array
+    covariance: Array
+
+
 @dataclass(slots=True)
 class Trail:
-    """Poses in areas, appended scan by scan.
+    """Poses in areas with the covariances of their invariant errors, appended scan by scan.
 
     Scans between two key scans are carried by odometry from the first and take their share of
     the correction at the second (`between` keeps them back until it comes).
@@ -30,17 +40,23 @@ class Trail:
     poses: list[Array] = field(default_factory=list)
     covariances: list[Array] = field(default_factory=list)
     key_at: list[int] = field(default_factory=list)
+    _base: Base | None = None
     _waiting: list[tuple[int, Array]] = field(default_factory=list)
 
-    def key(self, stamp_ns: int, area: int, V: StochasticMap) -> None:
-        """A scan that the filter used: the robot's estimate after it, in its area."""
-        robot, C = V.robot, V.covariance[:3, :3].copy()
-        if V.coordinates == "additive":
-            J = se2.invariant_D_additive(robot)
-            C = J @ C @ J.T
-        self._settle(stamp_ns, area, robot, C)
+    def key(self, stamp_ns: int, area: int, V: StochasticMap, motion: Motion | None = None) -> None:
+        """A scan that the filter used: the robot's estimate after it, in its area. `motion` is
+        the odometry since the last key scan, as the filter predicted by it."""
+        base = Base(stamp_ns, area, V.robot, invariant_covariance(V))
+        if motion is not None:
+            self._settle(base, motion)
         self.key_at.append(len(self.stamps_ns))
-        self._append(stamp_ns, area, robot, C)
+        self._append(stamp_ns, area, base.pose, base.covariance)
+        self._base = base
+
+    def enter(self, area: int, V: StochasticMap) -> None:
+        """The robot, where it is, is now in another area: what follows starts from there."""
+        assert self._base is not None
+        self._base = Base(self._base.stamp_ns, area, V.robot, invariant_covariance(V))
 
     def between(self, stamp_ns: int, increment: Array) -> None:
         """A scan too near the last key scan: `increment` is the odometry since then."""
@@ -53,9 +69,11 @@ class Trail:
     def finish(self) -> None:
         """Scans after the last key scan stay where odometry put them."""
         if self._waiting:
-            base, C, area = self.poses[-1], self.covariances[-1], self.area[-1]
+            base = self._base
+            assert base is not None
             for stamp, increment in self._waiting:
-                self._append(stamp, area, se2.compose(base, increment), C)
+                pose = se2.compose(base.pose, increment)
+                self._append(stamp, base.area, pose, base.covariance)
             self._waiting = []
 
     def recent(self, area: int, distance: float) -> Array | None:
@@ -70,24 +88,26 @@ class Trail:
             out.append(self.poses[i])
         return np.array(out[::-1]) if len(out) > 1 else None
 
-    def _settle(self, stamp_ns: int, area: int, robot: Array, C: Array) -> None:
+    def _settle(self, key: Base, motion: Motion) -> None:
+        """Place the waiting scans between the last key scan and this one.
+
+        Odometry carries each from the last key scan; what then remains at this one is shared
+        out by how far each has come. The noise in between is that of a bridge held at both ends.
+        """
         if not self._waiting:
             return
-        if self.area[-1] != area:
-            self.finish()
-            return
-        base, C_base, t_base = self.poses[-1], self.covariances[-1], self.stamps_ns[-1]
-        stamps = np.array([w[0] for w in self._waiting])
-        carried = se2.compose(base, np.array([w[1] for w in self._waiting]))
-        f = (stamps - t_base) / max(stamp_ns - t_base, 1)
-        # What remains after odometry has carried the base to the key scan, shared out by time.
-        last = carried[-1]
-        rest = se2.log(se2.compose(robot, se2.invert(last)))
-        moved = float(np.hypot(*(robot[:2] - last[:2])))
-        share = f[:, None] * rest * (1.0 if moved < 1.0 else 0.0)
-        poses = se2.compose(se2.exp(share), carried)
-        for k, stamp in enumerate(stamps):
-            self._append(int(stamp), area, poses[k], (1.0 - f[k]) * C_base + f[k] * C)
+        base = self._base
+        assert base is not None
+        increments = np.array([increment for _, increment in self._waiting])
+        carried = se2.compose(base.pose, increments)
+        rest = se2.log(se2.compose(key.pose, se2.invert(se2.compose(base.pose, motion.pose))))
+        f = np.clip(_progress(increments) / max(float(_progress(motion.pose)), 1e-9), 0.0, 1.0)
+        poses = se2.compose(se2.exp(f[:, None] * rest), carried)
+        Ad = se2.adjoint(key.pose)
+        bridge = Ad @ motion.covariance @ Ad.T
+        for (stamp, _), pose, g in zip(self._waiting, poses, f.tolist(), strict=True):
+            C = (1.0 - g) * base.covariance + g * key.covariance + g * (1.0 - g) * bridge
+            self._append(stamp, base.area, pose, C)
         self._waiting = []
 
     def _append(self, stamp_ns: int, area: int, pose: Array, C: Array) -> None:
@@ -95,3 +115,14 @@ class Trail:
         self.area.append(area)
         self.poses.append(pose)
         self.covariances.append(C)
+
+
+def invariant_covariance(V: StochasticMap) -> Array:
+    """Covariance (3, 3) of the robot's invariant error."""
+    T = V.invariant_D_error(V.robot)
+    return T @ V.covariance[:3, :3] @ T.T
+
+
+def _progress(increment: Array) -> Array:
+    """How far an increment (..., 3) has come, with a radian counted as 30 cm."""
+    return np.hypot(increment[..., 0], increment[..., 1]) + 0.3 * np.abs(increment[..., 2])
