@@ -59,6 +59,10 @@ class Intervals:
         place = int(np.searchsorted(np.cumsum(self._bins), 0.5 * total))
         return float(2.0 ** ((place + 0.5) / _PER_OCTAVE) * 1e-9)
 
+    def longest(self) -> float:
+        """Seconds of the longest interval; 0 where there is none."""
+        return max((gap.seconds for gap in self._longest), default=0.0)
+
     def gaps(self) -> list[Gap]:
         """The longest intervals, longest first, that stand out by far."""
         limit = max(_GAP_LEAST, _GAP_FACTOR * self.median())

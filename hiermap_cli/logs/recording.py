@@ -51,8 +51,14 @@ def open_recording(paths: Sequence[Path], options: InputConfig) -> Recording:
     """
     paths = [Path(path) for path in paths]
     source = open_source(paths)
-    log = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
+    log = log_name(paths)
     return Recording(source, log, make_plan(source, log, options), options)
+
+
+def log_name(paths: Sequence[Path]) -> str:
+    """How messages and reports call the log: no folder, for results are the same anywhere."""
+    first = paths[0].resolve().name if paths[0].name in ("", "..") else paths[0].name
+    return first if len(paths) == 1 else f"{first} and {len(paths) - 1} more"
 
 
 class Recording:
@@ -81,24 +87,27 @@ class Recording:
         """The topic of the odometry, or of the transforms with the edge."""
         return self.plan.odometry.name
 
-    def timed(self) -> Iterator[Timed]:
-        """Scans and odometry with settled times, in log order."""
-        self._counts.clear()
-        yield from settle(self._chosen(), self.plan.clock, self._counts)
+    def ordered(self) -> Iterator[Timed]:
+        """Scans and odometry by their settled times."""
+        self.watch = self._new_watch()
+        yield from self.watch.records(self._in_order())
 
     def blocks(self, size: int = 256) -> Iterator[ScanBlock]:
         """All scans in time order, in blocks of at most `size`, joined with odometry.
 
         Raises InputError at the end where no scan was read, or none with a valid range.
         """
-        # CARMEN's second stamp is the logger's own, which need not be of the same epoch.
-        one_epoch = self.source.format not in ("CARMEN", "Wean")
-        self.watch = Watch(self.mount, one_epoch=one_epoch)
-        settled = self._within(in_time_order(self.timed(), self._counts))
-        joined = join(self.watch.records(settled), self.plan.first_odometry, self._counts)
+        watch = self.watch = self._new_watch()
+        settled = watch.records(self._in_order())
+        joined = join(settled, self.plan.first_odometry, self._counts)
         blocks = in_blocks(joined, self.mount, self.plan.first_laser, size, self._counts)
-        yield from self.watch.blocks(blocks)
-        self._check()
+        yield from watch.blocks(blocks)
+        self.check(self._counts["scans"])
+        if self._counts["no_valid_range"] == self._counts["scans"]:
+            raise InputError(
+                f"{self.log}: none of the {self._counts['scans']} scans on {self.scan_topic} has "
+                "a valid range"
+            )
 
     def report(self) -> InputReport:
         """What was read so far; whole once the blocks have been consumed."""
@@ -108,7 +117,7 @@ class Recording:
             log=self.log,
             format=self.source.format,
             files=tuple(path.name for path in self.source.paths),
-            sha256=_sha256(self.source.paths),
+            sha256=sha256_of(self.source.paths),
             scan_topic=self.scan_topic,
             odometry_topic=self.odometry_topic,
             clock=self.plan.clock,
@@ -126,6 +135,15 @@ class Recording:
         if n := self._counts["clock_set_back"]:
             out.append(f"the clock was set back {n} times: later stamps are carried on from there")
         return out
+
+    def _new_watch(self) -> Watch:
+        # CARMEN's second stamp is the logger's own, which need not be of the same epoch.
+        return Watch(self.mount, one_epoch=self.source.format not in ("CARMEN", "Wean"))
+
+    def _in_order(self) -> Iterator[Timed]:
+        self._counts.clear()
+        settled = settle(self._chosen(), self.plan.clock, self._counts)
+        yield from self._within(in_time_order(settled, self._counts))
 
     def _chosen(self) -> Iterator[Record]:
         """Scans of the chosen topic and readings of the chosen odometry, faults counted."""
@@ -145,37 +163,39 @@ class Recording:
                 self._counts[record.fault.partition(":")[0].replace(" ", "_")] += 1
 
     def _within(self, records: Iterator[Timed]) -> Iterator[Timed]:
-        """Records between --start and --end; odometry from before and after, for the joining."""
+        """Records between --start and --end, and the odometry readings that enclose them."""
         start, end = self._options.start, self._options.end
         if start is None and end is None:
             yield from records
             return
-        first: int | None = None
+        begin_ns = None
+        before: Timed | None = None
         for timed in records:
-            first = timed.time_ns if first is None else first
-            elapsed = timed.time_ns - first
-            too_late = end is not None and elapsed > end * SECOND
-            if isinstance(timed.value, Odometry):
+            begin_ns = timed.time_ns if begin_ns is None else begin_ns
+            elapsed = timed.time_ns - begin_ns
+            reading = isinstance(timed.value, Odometry)
+            if start is not None and elapsed < start * SECOND:
+                before = timed if reading else before
+                continue
+            if before is not None:
+                yield before
+                before = None
+            if end is None or elapsed <= end * SECOND:
                 yield timed
-                if too_late:
-                    return
-            elif not too_late and (start is None or elapsed >= start * SECOND):
+            elif reading:
                 yield timed
+                return
 
-    def _check(self) -> None:
-        scans = self._counts["scans"]
+    def check(self, scans: int) -> None:
+        """Raises InputError where there was not a single scan."""
         if not scans:
             where = f"{self.log}: no scan on {self.scan_topic}"
             if self._options.start is not None or self._options.end is not None:
                 raise InputError(f"{where} between --start and --end")
             raise InputError(f"{where} can be read")
-        if self._counts["no_valid_range"] == scans:
-            raise InputError(
-                f"{self.log}: none of the {scans} scans on {self.scan_topic} has a valid range"
-            )
 
 
-def _sha256(paths: Sequence[Path]) -> str:
+def sha256_of(paths: Sequence[Path]) -> str:
     """Of the bytes of the file; of several files, of their digests one after the other."""
     digests = []
     for path in paths:

@@ -1,0 +1,83 @@
+"""Any log that can be read, written as a ROS 2 MCAP: the body of `hiermap convert`.
+
+What is written is what `run` would read: scans of the chosen topic with their ranges translated,
+the chosen odometry, both at their settled times and in the log's order, and the mount. The
+conversion of a conversion has the same bytes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.errors import UsageError
+from hiermap_cli.logs.join import plausible, sound_geometry
+from hiermap_cli.logs.mcap_writer import RosMcapWriter
+from hiermap_cli.logs.records import Odometry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from hiermap_cli.logs.recording import InputReport, Recording
+
+_EVERY = 256  # scans between reports of progress
+
+
+class Converted(NamedTuple):
+    """What was written."""
+
+    scans: int
+    odometry: int
+    report: InputReport
+
+
+def check_target(target: Path, *, overwrite: bool) -> None:
+    """Whether `target` may be written, asked before the work. Raises UsageError."""
+    if target.is_dir():
+        raise UsageError(f"{target}: is a folder; name a file")
+    if target.exists() and not overwrite:
+        raise UsageError(f"{target}: exists already; --force replaces it")
+    if not target.parent.is_dir():
+        raise UsageError(f"{target}: there is no folder {target.parent}")
+
+
+def convert(
+    recording: Recording,
+    target: Path,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> Converted:
+    """Writes the recording to `target`, whole or not at all.
+
+    Raises:
+        InputError: the log has no scans, or stamps that do not fit into ROS messages.
+        UsageError: `target` exists and may not be replaced, or is one of the log's own files.
+        OutputError: the disk refuses.
+    """
+    real = target.resolve()
+    if any(path.resolve() == real for path in recording.source.paths):
+        raise UsageError(f"{target}: is the log itself; choose another name")
+    scans = odometry = 0
+    laser = recording.plan.first_laser
+    with RosMcapWriter(target, recording.mount, overwrite=overwrite) as writer:
+        for timed in recording.ordered():
+            value = timed.value
+            if isinstance(value, Odometry):
+                if plausible(value):
+                    pose = (value.x, value.y, value.theta)
+                    writer.odometry(timed.time_ns, pose)
+                    odometry += 1
+                continue
+            if sound_geometry(value.laser):
+                laser, ranges = value.laser, value.ranges
+            else:  # one that says nothing, as `run` takes it
+                ranges = np.full(laser.beams, np.nan, dtype=np.float32)
+            writer.scan(timed.time_ns, ranges, laser)
+            scans += 1
+            if progress is not None and scans % _EVERY == 0:
+                progress(_EVERY)
+        recording.check(scans)
+    return Converted(scans, odometry, recording.report())
