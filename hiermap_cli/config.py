@@ -96,6 +96,7 @@ class FilterConfig(Section):
     min_new_length: Positive = Field(0.4, description="metres; a segment that may found a wall")
     wall_sigma: NonNegative = Field(0.02, description="metres; walls are not lines")
     wall_sigma_theta: NonNegative = Field(0.01, description="radians; walls are not lines")
+    end_spacing: Positive = Field(0.5, description="metres between different ends of a wall")
     end_sigma: NonNegative = Field(0.03, description="metres; ends of walls are not points")
 
 
@@ -105,6 +106,7 @@ class AssociationConfig(Section):
     gate: Positive = Field(0.999, lt=1, description="probability of the chi-square gates")
     max_angle: Positive = Field(0.26, description="radians between a segment and its wall")
     max_offset: Positive = Field(1.0, description="metres between a segment and its wall")
+    overlap_bonus: NonNegative = Field(2.0, description="of a pair's cost, for full overlap")
     max_gap: Positive = Field(0.4, description="metres between a segment and the wall's extent")
 
 

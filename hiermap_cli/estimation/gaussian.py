@@ -20,10 +20,12 @@ if TYPE_CHECKING:
 
 
 class Correction(NamedTuple):
-    """Result of conditioning: mean (N,) of the error, and its new covariance (N, N)."""
+    """Result of conditioning: mean (N,) of the error, its new covariance (N, N), and the
+    normalised innovation squared `y^T S^-1 y`."""
 
     delta: Array
     covariance: Array
+    nis: float
 
 
 class Gain(NamedTuple):
@@ -31,6 +33,10 @@ class Gain(NamedTuple):
 
     HP: Array
     S: Array
+
+    def select(self, rows: Index) -> Gain:
+        """The same for some of the rows."""
+        return Gain(self.HP[rows], self.S[rows[:, None], rows])
 
 
 def symmetrise(P: Array) -> Array:
@@ -44,15 +50,20 @@ def gain(P: Array, columns: Index, H_c: Array, R: Array) -> Gain:
     return Gain(HP, HP[:, columns] @ H_c.T + R)
 
 
-def kalman_update(P: Array, columns: Index, H_c: Array, R: Array, y: Array) -> Correction:
-    """The Kalman filter's update: `K = P H^T S^-1`, `delta = K y`, `P - K S K^T`."""
-    HP, S = gain(P, columns, H_c, R)
-    L = np.linalg.cholesky(S)
-    W = np.linalg.solve(L, HP)  # K S K^T = W^T W
-    return Correction(W.T @ np.linalg.solve(L, y), symmetrise(P - W.T @ W))
-
-
-def robot_correction(P: Array, columns: Index, H_c: Array, R: Array, y: Array) -> Array:
+def robot_correction(gain: Gain, y: Array) -> Array:
     """The robot's part (3,) of the Kalman correction: the relocation step."""
-    HP, S = gain(P, columns, H_c, R)
-    return HP[:, :3].T @ np.linalg.solve(S, y)
+    return np.asarray(gain.HP[:, :3].T @ np.linalg.solve(gain.S, y))
+
+
+def condition(P: Array, gain: Gain, y: Array) -> Correction:
+    """The Kalman filter's update: `K = P H^T S^-1`, `delta = K y`, `P - K S K^T`.
+
+    `K S K^T = W^T W` with `W = L^-1 H P`, whose product with its own transpose is symmetric to
+    the last bit, so that P stays so.
+    """
+    k = len(y)
+    L = np.linalg.cholesky(symmetrise(gain.S))
+    solved = np.linalg.solve(L, np.concatenate((gain.HP, y[:, None]), axis=1))
+    W, z = np.ascontiguousarray(solved[:, :-1]), solved[:, -1]
+    assert len(W) == k
+    return Correction(W.T @ z, P - W.T @ W, float(z @ z))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiermap_cli.estimation.stochastic_map import Motion
+from hiermap_cli.geometry import se2
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -71,7 +72,7 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
     # at full lever arm, correlated by a half (a random walk integrated once).
     Q[1, 1] += var_t * distance**2 / 3.0
     Q[1, 2] = Q[2, 1] = 0.5 * var_t * distance * np.sign(dx)
-    return Motion(np.array([x, y, float(_wrap(turn))]), Q, J)
+    return Motion(np.array([x, y, se2.wrap_one(turn)]), Q, J)
 
 
 def distrusted(motion: Motion, config: OdometryConfig) -> Motion:
@@ -79,7 +80,3 @@ def distrusted(motion: Motion, config: OdometryConfig) -> Motion:
     calibration."""
     spread = np.diag(np.square([config.fault_sigma_xy, config.fault_sigma_xy, config.fault_sigma_theta]))
     return Motion(motion.pose, motion.covariance + spread, np.zeros_like(motion.by_parameters))
-
-
-def _wrap(angle: float) -> float:
-    return np.pi - (np.pi - angle) % (2.0 * np.pi)

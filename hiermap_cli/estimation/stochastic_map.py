@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.gaussian import kalman_update, robot_correction, symmetrise
+from hiermap_cli.estimation.gaussian import Gain, condition, gain, robot_correction, symmetrise
 from hiermap_cli.geometry import se2
 
 if TYPE_CHECKING:
@@ -153,13 +153,16 @@ def predict(V: StochasticMap, motion: Motion) -> StochasticMap:
         Ad = se2.additive_D_invariant(X) @ Ad
         J1 = se2.compose_D_first(V.robot, motion.pose)
         P[:3] = J1 @ P[:3]
-        P[:, :3] = P[:, :3] @ J1.T
+        P[:3, :3] = P[:3, :3] @ J1.T
     m = len(V.parameters)
     if m:
         G = Ad @ motion.by_parameters
+        P_rc_G = P[:3, 3 : 3 + m] @ G.T
+        P_rr = P[:3, :3] + P_rc_G + P_rc_G.T + G @ P[3 : 3 + m, 3 : 3 + m] @ G.T
         P[:3] += G @ P[3 : 3 + m]
-        P[:, :3] += P[:, 3 : 3 + m] @ G.T
-    P[:3, :3] += Ad @ motion.covariance @ Ad.T
+        P[:3, :3] = P_rr
+    P[:3, :3] = symmetrise(P[:3, :3] + Ad @ motion.covariance @ Ad.T)
+    P[3:, :3] = P[:3, 3:].T
     return replace(V, poses=poses, covariance=P)
 
 
@@ -246,35 +249,63 @@ def corrected(V: StochasticMap, delta: Array, P: Array) -> StochasticMap:
     return replace(V, poses=poses, parameters=V.parameters + delta[3 : 3 + m], covariance=P)
 
 
+class Constraint(NamedTuple):
+    """Rows ready to be added to V: innovation (k,), H over `columns`, and what they would do."""
+
+    innovation: Array
+    columns: Index
+    H: Array
+    gain: Gain
+
+    def select(self, rows: Index) -> Constraint:
+        """The constraint of some of the rows."""
+        return Constraint(
+            self.innovation[rows], self.columns, self.H[rows], self.gain.select(rows)
+        )
+
+
+def prepare(V: StochasticMap, rows: Rows, R: Array) -> Constraint:
+    """The rows linearised at V with their noise R (k, k)."""
+    columns, H = jacobian(V, rows)
+    return Constraint(rows.innovation, columns, H, gain(V.covariance, columns, H, R))
+
+
 def constrain(
     V: StochasticMap,
-    measure: Callable[[StochasticMap], Rows],
-    R: Array,
+    constraint: Constraint,
+    measure: Callable[[StochasticMap], Array],
     update: Update = "relocation_fusion",
-) -> StochasticMap:
-    """Equation 3: objects seen again. `measure` linearises the measurement at a given V.
+) -> tuple[StochasticMap, float]:
+    """Equation 3: objects seen again. Returns V after it and the NIS.
 
-    R: (k, k) noise of the rows. With `relocation_fusion` (Moutarlier and Chatila) the robot is
-    first corrected alone, from all rows; then everything is corrected, with the rows predicted
-    at the relocated robot. The second step starts from the state **before** the first, with the
-    innovation `y(V') + H (V' - V)`: the rows enter once, and on a linear model the result is the
-    Kalman filter's to the digit. (Carrying the relocated state and its correlation with the
-    noise into the second step gives the same on paper, but an innovation covariance that is
-    nearly singular: see docs/design.md.)
+    `measure` gives the innovations (k,) of the same rows predicted from another V. With
+    `relocation_fusion` (Moutarlier and Chatila) the robot is first corrected alone, from all
+    rows; then everything is corrected, with the rows predicted at the relocated robot. The
+    second step starts from the state **before** the first, with the innovation
+    `y(V') + H (V' - V)`: the rows enter once, and on a linear model the result is the Kalman
+    filter's to the digit. (Carrying the relocated state and its correlation with the noise into
+    the second step is the same on paper, but its innovation covariance is nearly singular: see
+    docs/design.md.) H is kept: in invariant coordinates it does not depend on the robot, and
+    where it does a Jacobian that changes between two steps counts as information.
     """
-    rows = measure(V)
-    columns, H = jacobian(V, rows)
-    if update == "ekf":
-        delta, P = kalman_update(V.covariance, columns, H, R, rows.innovation)
-        return corrected(V, delta, P)
-    relocation = np.zeros(len(V.covariance))
-    relocation[:3] = robot_correction(V.covariance, columns, H, R, rows.innovation)
-    relocated = corrected(V, relocation, V.covariance)
-    rows = measure(relocated)
-    columns, H = jacobian(relocated, rows)
-    innovation = rows.innovation + H @ relocation[columns]
-    delta, P = kalman_update(V.covariance, columns, H, R, innovation)
-    return corrected(V, delta, P)
+    innovation = constraint.innovation
+    if update == "relocation_fusion":
+        relocation = robot_correction(constraint.gain, innovation)
+        relocated = _relocated(V, relocation)
+        innovation = measure(relocated) + constraint.H[:, :3] @ relocation
+    delta, P, nis = condition(V.covariance, constraint.gain, innovation)
+    return corrected(V, delta, P), nis
+
+
+def _relocated(V: StochasticMap, delta_r: Array) -> StochasticMap:
+    """V with the robot's mean alone moved."""
+    poses = V.poses.copy()
+    if V.coordinates == "invariant":
+        poses[0] = se2.compose(se2.exp(delta_r), V.robot)
+    else:
+        poses[0] = V.robot + delta_r
+        poses[0, 2] = se2.wrap_one(float(poses[0, 2]))
+    return replace(V, poses=poses)
 
 
 def relative_covariance(V: StochasticMap, i: int, j: int) -> Array:

@@ -8,6 +8,7 @@ taken in additive coordinates unless its name says otherwise.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,27 +27,47 @@ def wrap(angle: Array) -> Array:
     return np.pi - np.mod(np.pi - np.asarray(angle), 2.0 * np.pi)
 
 
+def wrap_one(angle: float) -> float:
+    """One angle wrapped to (-pi, pi]."""
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)
+
+
 def compose(R_a_b: Array, R_b_c: Array) -> Array:
     """The paper's f (equation 1): `R_a_c`, shape (..., 3)."""
     R_a_b, R_b_c = np.asarray(R_a_b, dtype=float), np.asarray(R_b_c, dtype=float)
+    if R_a_b.ndim == R_b_c.ndim == 1:
+        return _compose_one(R_a_b, R_b_c)
     c, s = np.cos(R_a_b[..., 2]), np.sin(R_a_b[..., 2])
     x, y = R_b_c[..., 0], R_b_c[..., 1]
-    return np.stack(
-        (
-            R_a_b[..., 0] + c * x - s * y,
-            R_a_b[..., 1] + s * x + c * y,
-            wrap(R_a_b[..., 2] + R_b_c[..., 2]),
-        ),
-        axis=-1,
-    )
+    out = np.empty(np.broadcast_shapes(R_a_b.shape, R_b_c.shape))
+    out[..., 0] = R_a_b[..., 0] + c * x - s * y
+    out[..., 1] = R_a_b[..., 1] + s * x + c * y
+    out[..., 2] = wrap(R_a_b[..., 2] + R_b_c[..., 2])
+    return out
+
+
+def _compose_one(R_a_b: Array, R_b_c: Array) -> Array:
+    """`compose` of two single poses, without the cost of array operations."""
+    x_a, y_a, theta_a = R_a_b.tolist()
+    x, y, theta = R_b_c.tolist()
+    c, s = math.cos(theta_a), math.sin(theta_a)
+    return np.array((x_a + c * x - s * y, y_a + s * x + c * y, wrap_one(theta_a + theta)))
 
 
 def invert(R_a_b: Array) -> Array:
     """`R_b_a`, shape (..., 3)."""
     R_a_b = np.asarray(R_a_b, dtype=float)
+    if R_a_b.ndim == 1:
+        x_a, y_a, theta = R_a_b.tolist()
+        cos, sin = math.cos(theta), math.sin(theta)
+        return np.array((-cos * x_a - sin * y_a, sin * x_a - cos * y_a, wrap_one(-theta)))
     c, s = np.cos(R_a_b[..., 2]), np.sin(R_a_b[..., 2])
     x, y = R_a_b[..., 0], R_a_b[..., 1]
-    return np.stack((-c * x - s * y, s * x - c * y, wrap(-R_a_b[..., 2])), axis=-1)
+    out = np.empty(R_a_b.shape)
+    out[..., 0] = -c * x - s * y
+    out[..., 1] = s * x - c * y
+    out[..., 2] = wrap(-R_a_b[..., 2])
+    return out
 
 
 def between(R_g_a: Array, R_g_b: Array) -> Array:
@@ -56,8 +77,12 @@ def between(R_g_a: Array, R_g_b: Array) -> Array:
 
 def rotation(theta: Array) -> Array:
     """Rotation matrices, shape (..., 2, 2)."""
+    theta = np.asarray(theta, dtype=float)
     c, s = np.cos(theta), np.sin(theta)
-    return np.stack((np.stack((c, -s), axis=-1), np.stack((s, c), axis=-1)), axis=-2)
+    out = np.empty((*theta.shape, 2, 2))
+    out[..., 0, 0] = out[..., 1, 1] = c
+    out[..., 0, 1], out[..., 1, 0] = -s, s
+    return out
 
 
 def compose_D_first(R_a_b: Array, R_b_c: Array) -> Array:
@@ -99,7 +124,11 @@ def exp(tangent: Array) -> Array:
     rho_x, rho_y, phi = tangent[..., 0], tangent[..., 1], tangent[..., 2]
     a = np.sinc(phi / np.pi)  # sin(phi) / phi
     b = 0.5 * phi * np.sinc(phi / (2.0 * np.pi)) ** 2  # (1 - cos(phi)) / phi
-    return np.stack((a * rho_x - b * rho_y, b * rho_x + a * rho_y, wrap(phi)), axis=-1)
+    out = np.empty(tangent.shape)
+    out[..., 0] = a * rho_x - b * rho_y
+    out[..., 1] = b * rho_x + a * rho_y
+    out[..., 2] = wrap(phi)
+    return out
 
 
 def log(R_a_b: Array) -> Array:
@@ -110,7 +139,11 @@ def log(R_a_b: Array) -> Array:
     # half / tan(half) is smooth at zero; at |phi| = pi it is zero.
     a = np.sinc(phi / np.pi) / np.sinc(half / np.pi) ** 2
     x, y = R_a_b[..., 0], R_a_b[..., 1]
-    return np.stack((a * x + half * y, -half * x + a * y, phi), axis=-1)
+    out = np.empty(R_a_b.shape)
+    out[..., 0] = a * x + half * y
+    out[..., 1] = -half * x + a * y
+    out[..., 2] = phi
+    return out
 
 
 def adjoint(R_a_b: Array) -> Array:

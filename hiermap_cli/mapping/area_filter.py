@@ -17,9 +17,8 @@ from hiermap_cli.mapping.area_map import (
     add_ends,
     add_walls,
     forget,
-    match_noise,
-    match_rows,
-    measuring_pose,
+    innovations,
+    seen_frames,
 )
 from hiermap_cli.mapping.matching import associate
 from hiermap_cli.perception.segments import END_OPEN
@@ -48,14 +47,18 @@ class Step(NamedTuple):
 def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     """Correct the area with one scan, then let new walls and ends in."""
     found = associate(area, view, config.association, config.filter)
-    matches = found.matches
+    matches, constraint = found.matches, found.constraint
     nis, degrees = 0.0, 0
-    if len(matches.wall):
-        V = area.V
-        R = match_noise(V, view, matches)
-        V = constrain(V, lambda V: match_rows(V, view, matches), R, config.update)
+    if constraint is not None and not matches.empty():
+        objects = np.concatenate((matches.wall, matches.end))
+        V, nis = constrain(
+            area.V,
+            constraint,
+            lambda V: innovations(seen_frames(V, objects), view, matches),
+            config.update,
+        )
         area = _seen(replace(area, V=V), view, matches, key)
-        degrees = len(R)
+        degrees = len(constraint.innovation)
     known = len(area.features.uid)
     new = (
         ~found.near
@@ -81,10 +84,9 @@ def _seen(area: AreaMap, view: SegmentView, matches: Matches, key: int) -> AreaM
 
 def _along(area: AreaMap, view: SegmentView, segments: Index, walls: Index) -> Array:
     """Both ends of segments along the X axis of walls, (k, 2)."""
-    R_s_l = se2.between(measuring_pose(area.V), area.V.poses[1 + walls])
-    d = view.ends[segments] - R_s_l[:, None, :2]
-    c, s = np.cos(R_s_l[:, 2])[:, None], np.sin(R_s_l[:, 2])[:, None]
-    return c * d[..., 0] + s * d[..., 1]
+    F = seen_frames(area.V, walls)
+    dx, dy = view.ends[segments, :, 0] - F.x[:, None], view.ends[segments, :, 1] - F.y[:, None]
+    return np.asarray(F.cos[:, None] * dx + F.sin[:, None] * dy)
 
 
 def _new_ends(
@@ -102,25 +104,25 @@ def _new_ends(
     i, side = np.nonzero(view.end_kind[segments] != END_OPEN)
     if not len(i):
         return area
-    x = _along(area, view, segments, walls)[i, side]
+    ends = 2 * segments[i] + side
+    fresh = ~np.isin(ends, 2 * matches.end_segment + matches.end_side)
+    if not fresh.any():
+        return area
+    i, side = i[fresh], side[fresh]
+    x = _along(area, view, segments[i], walls[i])[np.arange(len(i)), side]
+    # A known end of the same wall and side that is near, but did not pass its gate, forbids a
+    # second one beside it.
     f = area.features
-    uid = f.uid[walls[i]]
-    ends = np.flatnonzero(f.kind == END)
-    taken = set(zip(matches.end_segment.tolist(), matches.end_side.tolist(), strict=True))
-    fresh = np.array([(s, e) not in taken for s, e in zip(segments[i].tolist(), side.tolist(), strict=True)])
-    if len(ends):
-        # A known end of the same wall and side that is near, but did not pass its gate, forbids
-        # a second one beside it.
-        R_w_e = se2.between(area.V.poses[1 + walls[i]][:, None], area.V.poses[1 + ends][None])
-        near = (
-            (f.wall[ends][None] == uid[:, None])
-            & (f.side[ends][None] == side[:, None])
-            & (np.abs(R_w_e[..., 0] - x[:, None]) < 0.5)
-        )
-        fresh &= ~near.any(axis=1)
-    pick = np.flatnonzero(fresh)
+    a, b = np.nonzero(
+        np.where(f.kind == END, 2 * f.wall + f.side, -1) == (2 * f.uid[walls[i]] + side)[:, None]
+    )
+    if len(a):
+        R_w_e = se2.between(area.V.poses[1 + walls[i[a]]], area.V.poses[1 + b])
+        beside = np.zeros(len(i), dtype=bool)
+        beside[a[np.abs(R_w_e[:, 0] - x[a]) < config.filter.end_spacing]] = True
+        i, side, x = i[~beside], side[~beside], x[~beside]
     sigma = view.end_sigma[segments[i], side]
-    return add_ends(area, walls[i[pick]], x[pick], sigma[pick], side[pick], key)
+    return add_ends(area, walls[i], x, sigma, side, key)
 
 
 def forget_unseen(area: AreaMap, key: int, config: ForgetConfig) -> tuple[AreaMap, int]:

@@ -10,6 +10,7 @@ and each end once; nothing is counted twice. Corners, doors and corridors are gr
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -70,22 +71,42 @@ class AreaMap:
     next_uid: int = 0
 
 
-def relative_poses(V: StochasticMap) -> Array:
-    """All objects seen from the **sensor-corrected robot**: R_s_l, (n, 3).
+class Frames(NamedTuple):
+    """Objects' frames as the scan sees them, n objects: x, y, theta of R_s_l, and the cosine and
+    sine of theta, (n,) each.
 
     Segments are given with the nominal mount; the laser's x error moves them along the robot's
-    X axis, so that the robot's pose for measuring is `R_r (laser_x, 0, 0)`.
+    X axis, so that s, the pose for measuring, is `R_r (laser_x, 0, 0)`.
     """
-    return se2.between(measuring_pose(V), V.poses[1:])
+
+    x: Array
+    y: Array
+    theta: Array
+    cos: Array
+    sin: Array
+
+    def select(self, objects: Index) -> Frames:
+        """The frames of some objects."""
+        return Frames(*(column[objects] for column in self))
+
+
+def seen_frames(V: StochasticMap, objects: Index | None = None) -> Frames:
+    """The frames of all objects, or of those given (indices from 0), seen from the scan."""
+    poses = V.poses[1:] if objects is None else V.poses[1 + objects]
+    x_s, y_s, theta_s = measuring_pose(V).tolist()
+    c, s = math.cos(theta_s), math.sin(theta_s)
+    dx, dy = poses[:, 0] - x_s, poses[:, 1] - y_s
+    theta = poses[:, 2] - theta_s
+    return Frames(c * dx + s * dy, c * dy - s * dx, theta, np.cos(theta), np.sin(theta))
 
 
 def measuring_pose(V: StochasticMap) -> Array:
     """The robot's pose moved by the estimated error of the laser's x, (3,)."""
     if len(V.parameters) != PARAMETERS:
         return V.robot
-    x, y, theta = V.robot
-    shift = V.parameters[LASER_X]
-    return np.array([x + np.cos(theta) * shift, y + np.sin(theta) * shift, theta])
+    x, y, theta = V.robot.tolist()
+    shift = float(V.parameters[LASER_X])
+    return np.array([x + math.cos(theta) * shift, y + math.sin(theta) * shift, theta])
 
 
 class Matches(NamedTuple):
@@ -102,54 +123,77 @@ class Matches(NamedTuple):
     end: Index
 
 
-def match_rows(V: StochasticMap, view: SegmentView, matches: Matches) -> Rows:
-    """The innovations of matched segments (y, theta at the wall's origin) and ends (x)."""
-    objects = np.concatenate((matches.wall, matches.end))
-    R_s_l = se2.between(measuring_pose(V), V.poses[1 + objects])
+    def empty(self) -> bool:
+        """Whether nothing was matched."""
+        return not len(self.wall) and not len(self.end)
+
+
+def innovations(frames: Frames, view: SegmentView, matches: Matches) -> Array:
+    """Of matched segments (y, theta at the wall's origin), then of ends (x), (2 a + b,).
+
+    `frames` are those of the matched walls, then of the matched ends, (a + b).
+    """
     a = len(matches.wall)
-    c, s = np.cos(R_s_l[:, 2]), np.sin(R_s_l[:, 2])
     point = np.concatenate(
         (view.centre[matches.segment], view.ends[matches.end_segment, matches.end_side])
     )
-    dx, dy = point[:, 0] - R_s_l[:, 0], point[:, 1] - R_s_l[:, 1]
-    x, y = c * dx + s * dy, -s * dx + c * dy
-    dtheta = se2.wrap(view.theta[matches.segment] - R_s_l[:a, 2])
-    innovation = np.empty(2 * a + len(matches.end))
-    innovation[0 : 2 * a : 2] = y[:a] - np.tan(dtheta) * x[:a]
-    innovation[1 : 2 * a : 2] = dtheta
-    innovation[2 * a :] = x[a:]
+    dx, dy = point[:, 0] - frames.x, point[:, 1] - frames.y
+    x, y = frames.cos * dx + frames.sin * dy, frames.cos * dy - frames.sin * dx
+    dtheta = se2.wrap(view.theta[matches.segment] - frames.theta[:a])
+    out = np.empty(2 * a + len(matches.end))
+    out[0 : 2 * a : 2] = y[:a] - np.tan(dtheta) * x[:a]
+    out[1 : 2 * a : 2] = dtheta
+    out[2 * a :] = x[a:]
+    return out
 
-    pose = np.concatenate((np.repeat(matches.wall, 2), matches.end)) + 1
-    Ad_inverse = se2.adjoint(se2.invert(V.poses[1 + objects]))
-    H = np.empty((len(innovation), 3))
-    H[0 : 2 * a : 2] = Ad_inverse[:a, 1]
-    H[1 : 2 * a : 2] = Ad_inverse[:a, 2]
-    H[2 * a :] = Ad_inverse[a:, 0]
-    # Innovation = (where it is measured) - (where it is predicted): it grows with the robot's
-    # error and shrinks with the object's.
-    H_parameters = np.zeros((len(innovation), len(V.parameters)))
+
+def match_rows(V: StochasticMap, frames: Frames, view: SegmentView, matches: Matches) -> Rows:
+    """The rows of matched segments and ends: where each is measured minus where it is predicted,
+    in the wall's or end's own frame. It shrinks with the robot's error, grows with the object's.
+    """
+    a, b = len(matches.wall), len(matches.end)
+    objects = np.concatenate((matches.wall, matches.end))
+    x, y, theta = V.poses[1 + objects].T
+    c, s = np.cos(theta), np.sin(theta)
+    # Rows of Ad(X_l^-1).
+    H = np.zeros((2 * a + b, 3))
+    rows_y, rows_theta, rows_x = slice(0, 2 * a, 2), slice(1, 2 * a, 2), slice(2 * a, None)
+    H[rows_y, 0], H[rows_y, 1] = -s[:a], c[:a]
+    H[rows_y, 2] = c[:a] * x[:a] + s[:a] * y[:a]
+    H[rows_theta, 2] = 1.0
+    H[rows_x, 0], H[rows_x, 1] = c[a:], s[a:]
+    H[rows_x, 2] = s[a:] * x[a:] - c[a:] * y[a:]
+    H_parameters = np.zeros((2 * a + b, len(V.parameters)))
     if len(V.parameters) == PARAMETERS:
-        H_parameters[0 : 2 * a : 2, LASER_X] = s[:a]
-        H_parameters[2 * a :, LASER_X] = -c[a:]
-    return Rows(innovation, pose, H, H_parameters)
+        H_parameters[rows_y, LASER_X] = frames.sin[:a]
+        H_parameters[rows_x, LASER_X] = -frames.cos[a:]
+    pose = np.concatenate((np.repeat(matches.wall, 2), matches.end)) + 1
+    return Rows(innovations(frames, view, matches), pose, H, H_parameters)
 
 
-def match_noise(V: StochasticMap, view: SegmentView, matches: Matches) -> Array:
+def match_noise(frames: Frames, view: SegmentView, matches: Matches) -> Array:
     """R (k, k) of `match_rows`: a segment's line noise carried from its centre to the wall's
     origin by the lever arm between them."""
-    R_s_l = se2.between(measuring_pose(V), V.poses[1 + matches.wall])
-    d = view.centre[matches.segment] - R_s_l[:, :2]
-    x = np.cos(R_s_l[:, 2]) * d[:, 0] + np.sin(R_s_l[:, 2]) * d[:, 1]
     a, b = len(matches.wall), len(matches.end)
-    var_theta, var_y = view.var_theta[matches.segment], view.var_y[matches.segment]
     R = np.zeros((2 * a + b, 2 * a + b))
     i = 2 * np.arange(a)
-    R[i, i] = var_y + x**2 * var_theta
-    R[i, i + 1] = R[i + 1, i] = -x * var_theta
-    R[i + 1, i + 1] = var_theta
+    R_yy, R_yt, R_tt = wall_noise(
+        frames.select(np.arange(a)) if b else frames, view, matches.segment
+    )
+    R[i, i] = R_yy
+    R[i, i + 1] = R[i + 1, i] = R_yt
+    R[i + 1, i + 1] = R_tt
     j = 2 * a + np.arange(b)
     R[j, j] = view.end_sigma[matches.end_segment, matches.end_side] ** 2
     return R
+
+
+def wall_noise(frames: Frames, view: SegmentView, segment: Index) -> tuple[Array, Array, Array]:
+    """Variances and covariance (c,) of (y, theta) of segments at the origins of their walls."""
+    centre = view.centre[segment]
+    x = frames.cos * (centre[:, 0] - frames.x) + frames.sin * (centre[:, 1] - frames.y)
+    var_theta = view.var_theta[segment]
+    return view.var_y[segment] + x**2 * var_theta, -x * var_theta, var_theta
 
 
 def add_walls(area: AreaMap, view: SegmentView, segments: Index, key: int) -> AreaMap:

@@ -7,10 +7,19 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.estimation.association import Candidates, chi_square, joint_compatibility
-from hiermap_cli.estimation.gaussian import gain
-from hiermap_cli.estimation.stochastic_map import jacobian
+from hiermap_cli.estimation.stochastic_map import Constraint, prepare
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import END, WALL, Matches, match_noise, match_rows, measuring_pose
+from hiermap_cli.mapping.area_map import (
+    END,
+    WALL,
+    Frames,
+    Matches,
+    innovations,
+    match_noise,
+    match_rows,
+    seen_frames,
+    wall_noise,
+)
 from hiermap_cli.perception.segments import END_OPEN
 
 if TYPE_CHECKING:
@@ -29,102 +38,22 @@ MAX_SEGMENTS, MAX_CANDIDATES = 10, 3
 
 
 class Association(NamedTuple):
-    """matches: what was found. near: (s,) whether a segment lies near enough to some wall that
-    it must not found a new one. offered: how many segments could have been matched."""
+    """matches: what was found, and `constraint`: its rows, ready. near: (s,) whether a segment
+    lies near enough to some wall that it must not found a new one. offered: how many segments
+    could have been matched."""
 
     matches: Matches
+    constraint: Constraint | None
     near: NDArray[np.bool_]
     offered: int
 
 
 class Pairs(NamedTuple):
-    """Segments against walls, in each wall's frame: c pairs that passed the coarse gates."""
+    """Segments against walls that passed their own gates, by segment, best first, c pairs."""
 
     segment: Index
     wall: Index
     cost: Array
-    distance: Array
-
-
-def wall_pairs(
-    area: AreaMap, view: SegmentView, config: AssociationConfig, min_length: float
-) -> Pairs:
-    """Pairs within angle, offset and extent, gated by chi-square with 2 degrees of freedom."""
-    V, f = area.V, area.features
-    walls = np.flatnonzero(f.kind == WALL)
-    segments = np.flatnonzero(view.length >= min_length)
-    if not len(walls) or not len(segments):
-        return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0))
-    R_s_l = se2.between(measuring_pose(V), V.poses[1 + walls])
-    c, s = np.cos(R_s_l[:, 2]), np.sin(R_s_l[:, 2])
-    dtheta = se2.wrap(view.theta[segments, None] - R_s_l[:, 2])
-    ends = view.ends[segments].reshape(-1, 1, 2) - R_s_l[:, :2]
-    x = (c * ends[..., 0] + s * ends[..., 1]).reshape(len(segments), 2, len(walls))
-    y = (-s * ends[..., 0] + c * ends[..., 1]).reshape(len(segments), 2, len(walls))
-    gap = np.maximum(f.lo[walls] - x.max(axis=1), x.min(axis=1) - f.hi[walls])
-    ok = (
-        (np.abs(dtheta) < config.max_angle)
-        & (np.abs(y.mean(axis=1)) < config.max_offset)
-        & (gap < config.max_gap)
-    )
-    i, j = np.nonzero(ok)
-    if not len(i):
-        return Pairs(_NONE, _NONE, np.zeros(0), np.zeros(0))
-    distance, log_det = _pair_distances(V, view, segments[i], walls[j])
-    gate = chi_square(config.gate, 2)
-    good = distance < gate
-    i, j, distance, log_det = i[good], j[good], distance[good], log_det[good]
-    overlap = np.clip(-gap[i, j] / np.maximum(view.length[segments[i]], 1e-6), -1.0, 1.0)
-    cost = distance + log_det - 2.0 * overlap
-    order = np.lexsort((cost, i))
-    return Pairs(segments[i[order]], walls[j[order]], cost[order], distance[order])
-
-
-def _pair_distances(
-    V: StochasticMap, view: SegmentView, segment: Index, wall: Index
-) -> tuple[Array, Array]:
-    """Squared Mahalanobis distance and log det S of each pair's (y, theta) innovation.
-
-    The laser's x error is left out of S here: it only ranks and gates single pairs, and is in
-    the joint test that decides.
-    """
-    matches = Matches(segment, wall, _NONE, _NONE, _NONE)
-    rows = match_rows(V, view, matches)
-    nu = rows.innovation.reshape(-1, 2)
-    P = V.covariance
-    columns = V.first_object + 3 * wall[:, None] + np.arange(3)
-    P_ll = P[columns[:, :, None], columns[:, None, :]]
-    P_lr = P[columns][:, :, :3]
-    relative = P[:3, :3] + P_ll - P_lr - P_lr.transpose(0, 2, 1)
-    H = rows.H_object.reshape(-1, 2, 3)
-    if V.coordinates == "additive":
-        T_l, T_r = se2.invariant_D_additive(V.poses[1 + wall]), se2.invariant_D_additive(V.robot)
-        cross = T_l @ P_lr @ T_r.T
-        relative = (
-            T_r @ P[:3, :3] @ T_r.T
-            + T_l @ P_ll @ T_l.transpose(0, 2, 1)
-            - cross
-            - cross.transpose(0, 2, 1)
-        )
-    S = H @ relative @ H.transpose(0, 2, 1) + _pair_noise(V, view, segment, wall)
-    det = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2
-    d2 = (
-        S[:, 1, 1] * nu[:, 0] ** 2 - 2.0 * S[:, 0, 1] * nu[:, 0] * nu[:, 1] + S[:, 0, 0] * nu[:, 1] ** 2
-    ) / det
-    return d2, np.log(det)
-
-
-def _pair_noise(V: StochasticMap, view: SegmentView, segment: Index, wall: Index) -> Array:
-    """R of each pair alone, (c, 2, 2): the diagonal blocks of `match_noise`."""
-    R_s_l = se2.between(measuring_pose(V), V.poses[1 + wall])
-    d = view.centre[segment] - R_s_l[:, :2]
-    x = np.cos(R_s_l[:, 2]) * d[:, 0] + np.sin(R_s_l[:, 2]) * d[:, 1]
-    var_theta, var_y = view.var_theta[segment], view.var_y[segment]
-    R = np.empty((len(segment), 2, 2))
-    R[:, 0, 0] = var_y + x**2 * var_theta
-    R[:, 0, 1] = R[:, 1, 0] = -x * var_theta
-    R[:, 1, 1] = var_theta
-    return R
 
 
 def associate(
@@ -132,67 +61,178 @@ def associate(
 ) -> Association:
     """Segments to walls by joint compatibility, then their ends to the ends of those walls."""
     V = area.V
-    pairs = wall_pairs(area, view, config, filter_config.min_match_length)
-    near = np.zeros(len(view), dtype=bool)
+    frames = seen_frames(V)
+    pairs = wall_pairs(area, frames, view, config, filter_config.min_match_length)
+    near = np.zeros(len(view.length), dtype=bool)
     near[pairs.segment] = True
-    offered = int(np.sum(view.length >= filter_config.min_match_length))
-    chosen = _jointly_compatible(V, view, pairs, config)
-    segment, wall = pairs.segment[chosen], pairs.wall[chosen]
-    end_segment, end_side, end = _match_ends(area, view, segment, wall, config)
-    return Association(Matches(segment, wall, end_segment, end_side, end), near, offered)
+    offered = int(np.count_nonzero(view.length >= filter_config.min_match_length))
+    if not len(pairs.segment):
+        return Association(Matches(_NONE, _NONE, _NONE, _NONE, _NONE), None, near, offered)
+    tried = _tried(pairs, view)
+    best = _best(tried.segment)
+    ends = _end_candidates(area, view, tried.segment[best], tried.wall[best])
+    # The best pair of every segment and all candidate ends, linearised once: nearly always all
+    # of these pairs hold together.
+    constraint, matches = _prepared(V, frames, view, tried.segment[best], tried.wall[best], ends)
+    k = 2 * len(best)
+    walls = constraint.select(np.arange(k)) if len(ends.end) else constraint
+    d2 = float(walls.innovation @ np.linalg.solve(walls.gain.S, walls.innovation))
+    if d2 > chi_square(config.gate, k):
+        best = _jointly_compatible(V, frames, view, tried, config)
+        ends = _end_candidates(area, view, tried.segment[best], tried.wall[best])
+        constraint, matches = _prepared(V, frames, view, tried.segment[best], tried.wall[best], ends)
+    return _with_ends(constraint, matches, near, offered, config)
+
+
+def wall_pairs(
+    area: AreaMap,
+    frames: Frames,
+    view: SegmentView,
+    config: AssociationConfig,
+    min_length: float,
+) -> Pairs:
+    """Pairs within angle, offset and extent, gated by chi-square with 2 degrees of freedom."""
+    f = area.features
+    walls = np.flatnonzero(f.kind == WALL)
+    segments = np.flatnonzero(view.length >= min_length)
+    none = Pairs(_NONE, _NONE, np.zeros(0))
+    if not len(walls) or not len(segments):
+        return none
+    F = frames.select(walls)
+    dtheta = se2.wrap(view.theta[segments, None] - F.theta)
+    ends = view.ends[segments]
+    dx, dy = ends[:, :, :1] - F.x, ends[:, :, 1:] - F.y  # (s, 2, w)
+    x, y = F.cos * dx + F.sin * dy, F.cos * dy - F.sin * dx
+    gap = np.maximum(f.lo[walls] - x.max(axis=1), x.min(axis=1) - f.hi[walls])
+    i, j = np.nonzero(
+        (np.abs(dtheta) < config.max_angle)
+        & (np.abs(y[:, 0] + y[:, 1]) < 2.0 * config.max_offset)
+        & (gap < config.max_gap)
+    )
+    if not len(i):
+        return none
+    segment, wall = segments[i], walls[j]
+    distance, log_det = _pair_distances(area.V, frames.select(wall), view, segment, wall)
+    good = distance < chi_square(config.gate, 2)
+    segment, wall = segment[good], wall[good]
+    overlap = np.clip(-gap[i, j][good] / np.maximum(view.length[segment], 1e-6), -1.0, 1.0)
+    cost = distance[good] + log_det[good] - config.overlap_bonus * overlap
+    order = np.lexsort((cost, segment))
+    return Pairs(segment[order], wall[order], cost[order])
+
+
+def _pair_distances(
+    V: StochasticMap, frames: Frames, view: SegmentView, segment: Index, wall: Index
+) -> tuple[Array, Array]:
+    """Squared Mahalanobis distance and log det S of each pair's (y, theta) innovation.
+
+    The laser's x error is left out of S here: it only ranks and gates single pairs, and is in
+    the joint test that decides.
+    """
+    matches = Matches(segment, wall, _NONE, _NONE, _NONE)
+    rows = match_rows(V, frames, view, matches)
+    nu_y, nu_t = rows.innovation[0::2], rows.innovation[1::2]
+    P = V.covariance
+    columns = V.first_object + 3 * wall[:, None] + np.arange(3)
+    P_ll = P[columns[:, :, None], columns[:, None, :]]
+    P_lr = P[columns[:, :, None], np.arange(3)]
+    P_rr = P[:3, :3]
+    if V.coordinates == "additive":
+        T_l, T_r = se2.invariant_D_additive(V.poses[1 + wall]), se2.invariant_D_additive(V.robot)
+        P_ll, P_lr = T_l @ P_ll @ T_l.transpose(0, 2, 1), T_l @ P_lr @ T_r.T
+        P_rr = T_r @ P_rr @ T_r.T
+    relative = P_rr + P_ll - P_lr - P_lr.transpose(0, 2, 1)
+    H = rows.H_object.reshape(-1, 2, 3)
+    S = H @ relative @ H.transpose(0, 2, 1)
+    R_yy, R_yt, R_tt = wall_noise(frames, view, segment)
+    S_yy, S_yt, S_tt = S[:, 0, 0] + R_yy, S[:, 0, 1] + R_yt, S[:, 1, 1] + R_tt
+    det = S_yy * S_tt - S_yt**2
+    d2 = (S_tt * nu_y**2 - 2.0 * S_yt * nu_y * nu_t + S_yy * nu_t**2) / det
+    return d2, np.log(det)
+
+
+def _tried(pairs: Pairs, view: SegmentView) -> Pairs:
+    """The best few candidates of the longest segments."""
+    first = _best(pairs.segment)
+    counts = np.diff(np.append(first, len(pairs.segment)))
+    rank = np.arange(len(pairs.segment)) - np.repeat(first, counts)
+    keep = rank < MAX_CANDIDATES
+    longest = pairs.segment[first]
+    if len(longest) > MAX_SEGMENTS:
+        order = np.argsort(-view.length[longest], kind="stable")
+        keep &= np.isin(pairs.segment, longest[order[:MAX_SEGMENTS]])
+    if keep.all():
+        return pairs
+    return Pairs(*(column[keep] for column in pairs))
+
+
+def _best(segment: Index) -> Index:
+    """Where each segment's run begins in a list sorted by segment: its best candidate."""
+    new = np.empty(len(segment), dtype=bool)
+    new[:1] = True
+    np.not_equal(segment[1:], segment[:-1], out=new[1:])
+    return np.flatnonzero(new)
 
 
 def _jointly_compatible(
-    V: StochasticMap, view: SegmentView, pairs: Pairs, config: AssociationConfig
+    V: StochasticMap, frames: Frames, view: SegmentView, tried: Pairs, config: AssociationConfig
 ) -> Index:
-    if not len(pairs.segment):
-        return _NONE
-    # The longest segments, the best few candidates of each.
-    first = np.flatnonzero(np.r_[True, pairs.segment[1:] != pairs.segment[:-1]])
-    rank = np.arange(len(pairs.segment)) - np.repeat(first, np.diff(np.r_[first, len(pairs.segment)]))
-    longest = pairs.segment[first]
-    if len(longest) > MAX_SEGMENTS:
-        longest = longest[np.argsort(-view.length[longest], kind="stable")[:MAX_SEGMENTS]]
-    tried = np.flatnonzero((rank < MAX_CANDIDATES) & np.isin(pairs.segment, longest))
-    segment, wall = pairs.segment[tried], pairs.wall[tried]
-    matches = Matches(segment, wall, _NONE, _NONE, _NONE)
-    rows = match_rows(V, view, matches)
-    columns, H = jacobian(V, rows)
-    S = gain(V.covariance, columns, H, match_noise(V, view, matches)).S
-    candidates = Candidates(segment, wall, pairs.cost[tried], rows.innovation.reshape(-1, 2), S)
-    return tried[joint_compatibility(candidates, config.gate)]
+    """Branch and bound over all tried pairs."""
+    matches = Matches(tried.segment, tried.wall, _NONE, _NONE, _NONE)
+    F = frames.select(tried.wall)
+    S = prepare(V, match_rows(V, F, view, matches), match_noise(F, view, matches)).gain.S
+    innovation = innovations(F, view, matches).reshape(-1, 2)
+    candidates = Candidates(tried.segment, tried.wall, tried.cost, innovation, S)
+    return np.array(joint_compatibility(candidates, config.gate), dtype=np.int64)
 
 
-def _match_ends(
-    area: AreaMap, view: SegmentView, segment: Index, wall: Index, config: AssociationConfig
-) -> tuple[Index, Index, Index]:
-    """Ends of matched segments against the known ends of the same wall and side."""
-    V, f = area.V, area.features
-    ends = np.flatnonzero(f.kind == END)
+def _end_candidates(area: AreaMap, view: SegmentView, segment: Index, wall: Index) -> Matches:
+    """All pairs of an end of a matched segment with a known end of the same wall and side."""
+    f = area.features
     i, side = np.nonzero(view.end_kind[segment] != END_OPEN)
-    if not len(ends) or not len(i):
-        return _NONE, _NONE, _NONE
-    a, b = np.nonzero(
-        (f.wall[ends][None, :] == f.uid[wall[i]][:, None]) & (f.side[ends][None, :] == side[:, None])
-    )
-    if not len(a):
-        return _NONE, _NONE, _NONE
-    matches = Matches(_NONE, _NONE, segment[i[a]], side[a], ends[b])
-    rows = match_rows(V, view, matches)
-    columns, H = jacobian(V, rows)
-    S = np.diag(gain(V.covariance, columns, H, match_noise(V, view, matches)).S)
-    d2 = rows.innovation**2 / S
-    order = np.lexsort((d2,))
-    taken_a: set[int] = set()
-    taken_b: set[int] = set()
-    chosen = []
-    for k in order:
-        if d2[k] > chi_square(config.gate, 1):
-            break
-        if int(a[k]) in taken_a or int(b[k]) in taken_b:
-            continue
-        taken_a.add(int(a[k]))
-        taken_b.add(int(b[k]))
-        chosen.append(k)
-    pick = np.sort(np.array(chosen, dtype=np.int64))
-    return matches.end_segment[pick], matches.end_side[pick], matches.end[pick]
+    # An end's wall and side in one number, to be compared at once.
+    known = np.where(f.kind == END, 2 * f.wall + f.side, -1)
+    a, b = np.nonzero(known == (2 * f.uid[wall[i]] + side[:, None].T).T)
+    return Matches(segment, wall, segment[i[a]], side[a], b)
+
+
+def _prepared(
+    V: StochasticMap, frames: Frames, view: SegmentView, segment: Index, wall: Index, ends: Matches
+) -> tuple[Constraint, Matches]:
+    matches = ends._replace(segment=segment, wall=wall)
+    F = frames.select(np.concatenate((wall, matches.end)))
+    rows = match_rows(V, F, view, matches)
+    return prepare(V, rows, match_noise(F, view, matches)), matches
+
+
+def _with_ends(
+    constraint: Constraint,
+    matches: Matches,
+    near: NDArray[np.bool_],
+    offered: int,
+    config: AssociationConfig,
+) -> Association:
+    """Keep of the candidate ends the nearest of each, one to one, within their gate."""
+    a = len(matches.wall)
+    if len(matches.end):
+        d2 = constraint.innovation[2 * a :] ** 2 / np.diagonal(constraint.gain.S)[2 * a :]
+        gate = chi_square(config.gate, 1)
+        ends = (2 * matches.end_segment + matches.end_side).tolist()
+        taken: set[int] = set()
+        keep = []
+        for k in np.argsort(d2, kind="stable").tolist():
+            if d2[k] > gate:
+                break
+            end, known = ends[k], -1 - int(matches.end[k])
+            if end not in taken and known not in taken:
+                taken.update((end, known))
+                keep.append(k)
+        if len(keep) < len(matches.end):
+            kept = np.sort(np.array(keep, dtype=np.int64))
+            constraint = constraint.select(np.concatenate((np.arange(2 * a), 2 * a + kept)))
+            matches = matches._replace(
+                end_segment=matches.end_segment[kept],
+                end_side=matches.end_side[kept],
+                end=matches.end[kept],
+            )
+    return Association(matches, constraint, near, offered)
