@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 _STEP = 1 << 12
+_LARGEST_MESSAGE = 1 << 30
 
 
 class _Stream(Protocol):
@@ -89,6 +90,24 @@ def _as_far_as_possible(stream: _Stream, data: bytes) -> bytes:
         except DECOMPRESS_ERRORS:
             break
     return b"".join(out)
+
+
+def plain_message(data: bytes) -> bytes:
+    """A message, decompressed where the recorder compressed each by itself, as rosbag2 can.
+
+    No serialisation begins with zstd's magic number. Raises ValueError where it is damaged.
+    """
+    if not data.startswith(ZSTD_MAGIC):
+        return data
+    import zstandard
+
+    size = zstandard.frame_content_size(data)
+    if not 0 <= size <= _LARGEST_MESSAGE:
+        raise ValueError(f"a compressed message of {size} bytes")
+    try:
+        return bytes(zstandard.ZstdDecompressor().decompress(data))
+    except zstandard.ZstdError as error:
+        raise ValueError(f"a compressed message is damaged: {error}") from error
 
 
 def unzstd_file(source: Path, target: Path, losses: list[str]) -> None:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from hiermap_cli.errors import InputError
-from hiermap_cli.logs.compression import DECOMPRESS_ERRORS, ZSTD_MAGIC
 from hiermap_cli.logs.container import Channel, Message
 
 if TYPE_CHECKING:
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
 
 MAGIC = b"SQLite format 3\0"
 
-_LARGEST_MESSAGE = 1 << 30
 _BATCH = 256  # rows looked at together where a damaged database is searched
 _FARTHEST = 1 << 24  # row ids tried behind the last one that could be read
 
@@ -110,15 +108,6 @@ class Db3File:
         if channel is None or not isinstance(stamp, int) or not isinstance(data, bytes):
             losses.append(f"{self.path.name}: a row of messages is damaged")
             return
-        if data.startswith(ZSTD_MAGIC):
-            import zstandard
-
-            try:
-                size = min(zstandard.frame_content_size(data), _LARGEST_MESSAGE)
-                data = zstandard.ZstdDecompressor().decompress(data, max_output_size=max(size, 0))
-            except DECOMPRESS_ERRORS as error:
-                losses.append(f"{self.path.name}: a message cannot be decompressed: {error}")
-                return
         yield Message(stamp, channel, data)
 
     def _salvaged(

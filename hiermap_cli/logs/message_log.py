@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hiermap_cli.logs import records as kinds
+from hiermap_cli.logs.compression import plain_message
 from hiermap_cli.logs.container import chained, ordered
 from hiermap_cli.logs.decoders import DECODE_ERRORS, Meaning, meaning
 from hiermap_cli.logs.ranges import HEAD_SCANS, float32, infer_range_max
@@ -80,7 +81,7 @@ class MessageLog:
             yield Record(topic, log_ns, None)
             return
         try:
-            values = found.decode(message.data)
+            values = found.decode(plain_message(message.data))
         except DECODE_ERRORS as error:
             yield Record(topic, log_ns, None, f"undecodable message: {error}")
             return
@@ -98,7 +99,7 @@ class MessageLog:
             for message in chained(self._containers, topic.__eq__, []):
                 found = self._meaning(message.channel)
                 try:
-                    values = found.decode(message.data) if found is not None else ()
+                    values = found.decode(plain_message(message.data)) if found is not None else ()
                 except DECODE_ERRORS:
                     continue
                 head += [value.ranges for value in values if isinstance(value, RawScan)]
