@@ -42,7 +42,7 @@ def assemble(mapper: Mapper) -> MapResult:
     """
     if not mapper.areas:
         raise InputError("the log holds no scan to map; `hiermap inspect` shows what it holds")
-    mapper.trail.finish()
+    mapper.finish()
     levels = compose_levels(mapper)
     doors = _doors(mapper, levels)
     areas, landmarks = _areas(mapper, levels, doors)

@@ -107,6 +107,12 @@ class Mapper:
             self.current = area
             self.trail.enter(area, self.area.V)
 
+    def finish(self) -> None:
+        """The end of the log: scans that still wait for a key scan get their place."""
+        if self._odometry is not None:
+            V, config = self.area.V, self.config.odometry
+            self.trail.finish(lambda step: odometry_model.motion(step, V.parameters, config))
+
     @property
     def portals(self) -> list[Portal]:
         """The doors found so far."""

@@ -10,6 +10,8 @@ import numpy as np
 from hiermap_cli.geometry import se2
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from hiermap_cli.estimation.stochastic_map import Motion, StochasticMap
@@ -66,14 +68,17 @@ class Trail:
         """Stamp of the last scan taken in, key scan or not."""
         return self._waiting[-1][0] if self._waiting else self.stamps_ns[-1]
 
-    def finish(self) -> None:
-        """Scans after the last key scan stay where odometry put them."""
+    def finish(self, carry: Callable[[Array], Motion]) -> None:
+        """Scans after the last key scan stay where odometry put them; `carry` is its model."""
         if self._waiting:
             base = self._base
             assert base is not None
             for stamp, increment in self._waiting:
-                pose = se2.compose(base.pose, increment)
-                self._append(stamp, base.area, pose, base.covariance)
+                motion = carry(increment)
+                pose = se2.compose(base.pose, motion.pose)
+                Ad = se2.adjoint(pose)
+                C = base.covariance + Ad @ motion.covariance @ Ad.T
+                self._append(stamp, base.area, pose, C)
             self._waiting = []
 
     def recent(self, area: int, distance: float) -> Array | None:
