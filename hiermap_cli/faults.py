@@ -86,8 +86,19 @@ def _known_keys(title: str) -> list[str]:
         seen.add(model)
         for name, field in model.model_fields.items():
             keys.add(name)
-            models += [leaf for leaf in leaves(field.annotation) if is_model(leaf)]
+            models += _models_in(field.annotation)
     return sorted(keys)
+
+
+def _models_in(wanted: Any) -> list[type[BaseModel]]:
+    """The models of an annotation, those of lists and tuples included."""
+    found = []
+    for leaf in leaves(wanted):
+        if is_model(leaf):
+            found.append(leaf)
+        for part in typing.get_args(leaf):
+            found += _models_in(part)
+    return found
 
 
 def _all_models(base: type[BaseModel]) -> list[type[BaseModel]]:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
+from click.testing import CliRunner
 
+from hiermap_cli.commands.main import cli
 from hiermap_cli.config import Config
 from hiermap_cli.documents.report_file import report_json
 from hiermap_cli.documents.results import write_result
@@ -176,3 +180,17 @@ def same(a, b) -> bool:
     if hasattr(a, "__dataclass_fields__"):
         return all(same(getattr(a, f), getattr(b, f)) for f in a.__dataclass_fields__)
     return a == b
+
+
+def hiermap(*arguments) -> tuple[int, str, str]:
+    result = CliRunner().invoke(cli, [str(a) for a in arguments])
+    return result.exit_code, result.stdout, result.stderr
+
+
+def program(*arguments, **options) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "hiermap_cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())

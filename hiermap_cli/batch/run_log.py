@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from hiermap_cli.logs.records import ScanBlock
     from hiermap_cli.mapping.model import Event, MapResult, Metric
 
+_SHOWN = 5  # losses of a damaged log that are said aloud
 ENDING = ".hiermap"
 _LOG_ENDINGS = {".gz", ".bz2", ".mcap", ".bag", ".db3", ".carmen", ".clf", ".log", ".txt", ".dat"}
 
@@ -106,7 +107,7 @@ def run_log(
     clock.lap("map")
     observer.entered("writing")
     source = recording.report()
-    late = (*source.warnings[len(recording.plan.warnings) :], *source.lost)
+    late = (*source.warnings[len(recording.plan.warnings) :], *_some(source.lost))
     for warning in late:
         observer.warned(warning)
     metrics = _all_metrics(result, watched.odometry())
@@ -134,6 +135,12 @@ def run_log(
         timing=timing,
         warnings=(*recording.plan.warnings, *late),
     )
+
+
+def _some(lost: tuple[str, ...]) -> tuple[str, ...]:
+    """What was lost, for a person: all of it is in the report."""
+    more = len(lost) - _SHOWN
+    return lost if more <= 0 else (*lost[:_SHOWN], f"and {more} losses more, see {REPORT}")
 
 
 class _Clock:

@@ -16,7 +16,7 @@ import click
     help="Print the effective configuration with this file's values instead of the defaults.",
 )
 def command(file: Path | None) -> None:
-    r"""Print the default configuration as YAML, every key explained.
+    """Print the default configuration as YAML, every key explained.
 
     Write it to a file, change what you need, and give the file to `hiermap run --config`:
 

@@ -45,7 +45,7 @@ def command(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    r"""Build the landmark, area and environment models of LOG.
+    """Build the landmark, area and environment models of LOG.
 
     Several LOGs are the parts of one recording. DIR gets model.json, report.json, trajectory.tum,
     trajectory_covariance.txt, trajectory_filter.tum and map.svg.

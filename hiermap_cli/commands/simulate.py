@@ -39,7 +39,7 @@ import click
 def command(
     world: Path, output: Path, seed: int, noise: str, noiseless: bool, force: bool, quiet: bool
 ) -> None:
-    r"""Drive a simulated robot through the floor plan WORLD and write what it recorded.
+    """Drive a simulated robot through the floor plan WORLD and write what it recorded.
 
     WORLD is a YAML file: walls, doors, furniture, way points, laser, odometry, people (see
     datasets/ for examples). The same world, seed and version give the same log.

@@ -186,9 +186,18 @@ def verbose_lines(outcome: RunOutcome) -> list[str]:
     first = outcome.events[0].stamp_ns if outcome.events else 0
     lines = []
     for event in outcome.events:
-        details = " ".join(f"{key}={value}" for key, value in event.details.items())
+        details = " ".join(f"{key}={_short(value)}" for key, value in event.details.items())
         lines.append(one_line(f"{(event.stamp_ns - first) / 1e9:9.2f} s  {event.kind} {details}"))
     return lines + [f"{seconds:9.3f} s  in {stage}" for stage, seconds in outcome.timing.items()]
+
+
+def _short(value: object) -> str:
+    """Numbers in four digits."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_short, value)) + "]"
+    return str(value)
 
 
 def _count(values: dict[str, float], name: str) -> str:

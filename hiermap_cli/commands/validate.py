@@ -22,7 +22,7 @@ SCHEMAS = ("model", "report", "eval", "reference", "summary", "jobs")
 @click.argument("files", nargs=-1, type=click.Path(path_type=Path), metavar="FILE...")
 @click.option("--schema", type=click.Choice(SCHEMAS), help="Print a JSON Schema and do no more.")
 def command(files: tuple[Path, ...], schema: str | None) -> None:
-    r"""Check documents against their schemas and rules.
+    """Check documents against their schemas and rules.
 
     Each FILE is recognised by its format key (model.json, report.json, eval.json, reference.json,
     summary.json), by its ending (.tum), by its columns (trajectory_covariance.txt,

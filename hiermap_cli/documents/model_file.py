@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import IO, TYPE_CHECKING, Any
 
+import numpy as np
 import pydantic_core
 
 from hiermap_cli.documents.checks import UnsoundValueError, sound_array, sound_covariance
@@ -16,7 +17,6 @@ from hiermap_cli.mapping.model import PointFeature
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from hiermap_cli.mapping.model import (
@@ -66,37 +66,49 @@ def _json(value: Any) -> bytes:
     return pydantic_core.to_json(value, inf_nan_mode="null")  # everything is checked before
 
 
-def _estimate(estimate: Estimate, what: str) -> dict[str, Any]:
+def _estimate(estimate: Estimate, what: str, block: Array | None = None) -> dict[str, Any]:
+    """An ESTIMATE; `block` is its part of a joint covariance that was checked before."""
     mean = sound_array(estimate.mean, f"the mean of {what}")
     return {
         "frame": estimate.frame,
         "mean": mean.tolist(),
-        "covariance": sound_covariance(estimate.covariance, what).tolist(),
+        "covariance": _covariance(estimate.covariance, what, block),
     }
 
 
-def _joint(C: Array, size: int, what: str) -> list[list[float]]:
+def _covariance(C: Array, what: str, block: Array | None) -> list[list[float]]:
+    """C as lists; where it is the block of a sound joint covariance, it is sound as well."""
+    sound = block if block is not None and np.array_equal(C, block) else sound_covariance(C, what)
+    rows: list[list[float]] = sound.tolist()
+    return rows
+
+
+def _joint(C: Array, size: int, what: str) -> Array:
     if C.shape != (size, size):
         raise UnsoundValueError(f"the covariance of {what} has shape {C.shape}, not {size} rows")
-    joint: list[list[float]] = sound_covariance(C, what).tolist()
-    return joint
+    return sound_covariance(C, what)
+
+
+def _block(C: Array, first: int, size: int = 3) -> Array:
+    """The diagonal block of `size` rows that begins at row `first`."""
+    return C[first : first + size, first : first + size]
 
 
 def _environment(environment: EnvironmentModel, areas: dict[str, AreaModel]) -> dict[str, Any]:
-    size = 3 + 3 * len(environment.areas)
+    C = _joint(environment.covariance, 3 + 3 * len(environment.areas), "the environment")
     return {
         "frame": "g",
-        "robot": _estimate(environment.robot, "the robot in g"),
+        "robot": _estimate(environment.robot, "the robot in g", _block(C, 0)),
         "areas": [
             {
                 "id": id_,
                 "kind": areas[id_].kind,
-                "estimate": _estimate(estimate, f"area {id_} in g"),
+                "estimate": _estimate(estimate, f"area {id_} in g", _block(C, 3 + 3 * index)),
                 "entered_by": areas[id_].entered_by,
             }
-            for id_, estimate in environment.areas
+            for index, (id_, estimate) in enumerate(environment.areas)
         ],
-        "covariance": _joint(environment.covariance, size, "the environment"),
+        "covariance": C.tolist(),
         "doors": [
             {
                 "id": door.id,
@@ -112,42 +124,47 @@ def _environment(environment: EnvironmentModel, areas: dict[str, AreaModel]) -> 
 
 
 def _area(area: AreaModel) -> dict[str, Any]:
-    size = 3 + 3 * len(area.landmarks)
+    C = _joint(area.covariance, 3 + 3 * len(area.landmarks), f"area {area.id}")
     extent = sound_array(area.extent, f"the extent of {area.id}").reshape(-1, 2)
     return {
         "id": area.id,
         "frame": area.id,
-        "robot": _estimate(area.robot, f"the robot in {area.id}"),
+        "robot": _estimate(area.robot, f"the robot in {area.id}", _block(C, 0)),
         "landmarks": [
-            {"id": id_, "estimate": _estimate(estimate, f"landmark {id_} in {area.id}")}
-            for id_, estimate in area.landmarks
+            {
+                "id": id_,
+                "estimate": _estimate(
+                    estimate, f"landmark {id_} in {area.id}", _block(C, 3 + 3 * index)
+                ),
+            }
+            for index, (id_, estimate) in enumerate(area.landmarks)
         ],
-        "covariance": _joint(area.covariance, size, f"area {area.id}"),
+        "covariance": C.tolist(),
         "extent": extent.tolist(),
     }
 
 
 def _landmark(landmark: LandmarkModel) -> dict[str, Any]:
-    size = 3 + 2 * len(landmark.features)
+    C = _joint(landmark.covariance, 3 + 2 * len(landmark.features), f"landmark {landmark.id}")
     return {
         "id": landmark.id,
         "area": landmark.area,
         "frame": landmark.id,
         "kind": landmark.kind,
         "binds": list(landmark.binds),
-        "robot": _estimate(landmark.robot, f"the robot in {landmark.id}"),
+        "robot": _estimate(landmark.robot, f"the robot in {landmark.id}", _block(C, 0)),
         "features": [
-            _feature(feature, f"feature {index} of {landmark.id}")
+            _feature(feature, f"feature {index} of {landmark.id}", _block(C, 3 + 2 * index, 2))
             for index, feature in enumerate(landmark.features)
         ],
-        "covariance": _joint(landmark.covariance, size, f"landmark {landmark.id}"),
+        "covariance": C.tolist(),
         "observations": int(landmark.observations),
         "utility": float(sound_array(landmark.utility, f"the utility of {landmark.id}")),
     }
 
 
-def _feature(feature: SegmentFeature | PointFeature, what: str) -> dict[str, Any]:
-    covariance = sound_covariance(feature.covariance, what).tolist()
+def _feature(feature: SegmentFeature | PointFeature, what: str, block: Array) -> dict[str, Any]:
+    covariance = _covariance(feature.covariance, what, block)
     if isinstance(feature, PointFeature):
         mean = sound_array(feature.mean, what).tolist()
         return {"kind": "point", "mean": mean, "covariance": covariance}

@@ -44,6 +44,7 @@ _FILLS = (
 _WALL = "#222222"
 _DOOR = "#c2410c"
 _TRACK = "#2563eb"
+_FONT_SIZES = {"area": 15, "doorname": 11}
 _SIZE = 1500.0  # pixels of the longer side, about
 _MARGIN = 40.0
 _FOOT = 50.0  # pixels below the map for scale bar and legend
@@ -72,6 +73,28 @@ class _Canvas:
         return np.stack((x, y), axis=-1)
 
 
+class _Labels:
+    """Texts on the map, each with a halo; one that would lie on another moves down."""
+
+    def __init__(self) -> None:
+        self.parts: list[str] = []
+        self._boxes: list[tuple[float, float, float, float]] = []
+
+    def add(self, at: Array, text: str, kind: str) -> None:
+        """`text` centred at `at`, pixels."""
+        size = _FONT_SIZES[kind]
+        (x, y), half = at.tolist(), 0.32 * size * len(text)
+        while any(
+            x - half < right and left < x + half and y - size < low and high < y
+            for left, right, high, low in self._boxes
+        ):
+            y += 0.5 * size
+        self._boxes.append((x - half, x + half, y - size, y))
+        place = f'x="{x:.1f}" y="{y:.1f}">{escape(text)}</text>'
+        # Two texts and no paint-order, which not every program that shows SVG knows.
+        self.parts.append(f'<text class="{kind} halo" {place}\n<text class="{kind}" {place}')
+
+
 def map_svg(model: HierarchicalModel, trajectory: Trajectory) -> str:
     """The picture as SVG text.
 
@@ -88,7 +111,7 @@ def map_svg(model: HierarchicalModel, trajectory: Trajectory) -> str:
     track = sound_array(trajectory.poses, "the trajectory").reshape(-1, 3)[:, :2]
     canvas = _canvas([*extents.values(), walls.reshape(-1, 2), doors.reshape(-1, 2), track])
     kinds = {area.id: area.kind for area in model.areas}
-    labels: list[str] = []
+    labels = _Labels()
     parts = [_head(canvas)]
     fills = {id_: _FILLS[index % len(_FILLS)] for index, id_ in enumerate(extents)}
     for id_ in sorted(extents, key=lambda id_: (-_size(extents[id_]), id_)):
@@ -96,13 +119,13 @@ def map_svg(model: HierarchicalModel, trajectory: Trajectory) -> str:
             continue
         parts.append(_polygon(canvas.pixels(extents[id_]), fills[id_]))
         name = id_ if kinds[id_] == "unknown" else f"{id_} {kinds[id_]}"
-        labels.append(_label(canvas.pixels(_inner_point(extents[id_])), name, "area"))
+        labels.add(canvas.pixels(_inner_point(extents[id_])), name, "area")
     parts.append(_lines(canvas.pixels(walls), "wall"))
     parts.append(_track(canvas.pixels(track)))
     parts.append(_lines(canvas.pixels(doors), "door"))
     for door, line in zip(model.environment.doors, canvas.pixels(doors), strict=True):
-        labels.append(_label(line.mean(axis=0) - (0.0, 7.0), door.id, "doorname"))
-    parts += labels
+        labels.add(line.mean(axis=0) - (0.0, 7.0), door.id, "doorname")
+    parts += labels.parts
     parts += _foot(canvas)
     return "\n".join(part for part in parts if part) + "\n</svg>\n"
 
@@ -149,15 +172,17 @@ def _head(canvas: _Canvas) -> str:
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" height="{height:.0f}" '
         f'viewBox="0 0 {width:.0f} {height:.0f}" font-family="Helvetica, Arial, sans-serif">\n'
         "<style>\n"
+        ".extent{fill-opacity:.75;stroke:#888888;stroke-width:.6}\n"
         f".wall{{fill:none;stroke:{_WALL};stroke-width:1.6;stroke-linecap:round}}\n"
         f".door{{fill:none;stroke:{_DOOR};stroke-width:5;stroke-linecap:round}}\n"
         f".track{{fill:none;stroke:{_TRACK};stroke-width:1;stroke-opacity:.65;"
         "stroke-linejoin:round}\n"
         ".bar{fill:none;stroke:#222222;stroke-width:2}\n"
-        "text{text-anchor:middle;paint-order:stroke;stroke:#ffffff;stroke-width:3;"
-        "stroke-linejoin:round}\n"
-        ".area{font-size:15px;font-weight:bold;fill:#333333}\n"
-        f".doorname{{font-size:11px;fill:{_DOOR}}}\n"
+        "text{text-anchor:middle}\n"
+        f".area{{font-size:{_FONT_SIZES['area']}px;font-weight:bold;fill:#333333}}\n"
+        f".doorname{{font-size:{_FONT_SIZES['doorname']}px;fill:{_DOOR}}}\n"
+        ".halo{fill:none;stroke:#ffffff;stroke-width:3;stroke-linejoin:round;"
+        "stroke-opacity:.8}\n"
         ".foot{font-size:13px;fill:#222222;text-anchor:start}\n"
         "</style>\n"
         f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>'
@@ -165,7 +190,7 @@ def _head(canvas: _Canvas) -> str:
 
 
 def _polygon(points: Array, fill: str) -> str:
-    return f'<polygon fill="{fill}" stroke="#999999" stroke-width="0.6" points="{_text(points)}"/>'
+    return f'<polygon class="extent" fill="{fill}" points="{_text(points)}"/>'
 
 
 def _text(points: Array) -> str:
@@ -198,10 +223,6 @@ def _track(points: Array) -> str:
         'stroke-width="2"/>\n'
         f'<circle cx="{x2:.1f}" cy="{y2:.1f}" r="4" fill="{_TRACK}"/>'
     )
-
-
-def _label(at: Array, text: str, kind: str) -> str:
-    return f'<text class="{kind}" x="{at[0]:.1f}" y="{at[1]:.1f}">{escape(text)}</text>'
 
 
 def _size(polygon: Array) -> float:

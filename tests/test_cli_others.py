@@ -1,0 +1,111 @@
+"""`hiermap` itself, `config` and `validate`: help, version, completion, pipes, verdicts."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from samples import hiermap, program
+
+from hiermap_cli import __version__
+from hiermap_cli.commands.main import COMMANDS
+from hiermap_cli.errors import EXIT_INPUT, EXIT_OK, EXIT_USAGE
+
+
+def test_version_and_help():
+    status, out, _ = hiermap("--version")
+    assert (status, out.strip()) == (EXIT_OK, f"hiermap, version {__version__}")
+    status, out, _ = hiermap("--help")
+    assert status == EXIT_OK
+    for name in COMMANDS:
+        assert f"  {name} " in out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_helps(name):
+    status, out, _ = hiermap(name, "--help")
+    assert status == EXIT_OK
+    assert out.startswith("Usage: ")
+
+
+def test_no_command_shows_the_help_and_is_wrong_usage():
+    done = program()
+    assert done.returncode == EXIT_USAGE
+    assert "Commands:" in done.stderr
+    assert done.stdout == ""
+
+
+def test_completion_knows_the_commands():
+    environment = {
+        **os.environ,
+        "_HIERMAP_COMPLETE": "bash_complete",
+        "COMP_WORDS": "hiermap ru",
+        "COMP_CWORD": "1",
+    }
+    assert program(env=environment).stdout.split(",")[-1].strip() == "run"
+    source = program(env={**os.environ, "_HIERMAP_COMPLETE": "bash_source"})
+    assert "complete -o nosort" in source.stdout
+
+
+def test_a_reader_that_has_seen_enough_is_no_error():
+    command = (
+        f"{sys.executable} -m hiermap_cli config | head -c 1 > /dev/null; echo ${{PIPESTATUS[0]}}"
+    )
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.stdout.strip(), done.stderr) == ("0", "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_behind_stdout_is_one_line():
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "hiermap_cli", "config"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == EXIT_INPUT
+    assert len(done.stderr.splitlines()) == 1
+    assert "No space left" in done.stderr
+
+
+def test_config_prints_what_it_reads(tmp_path):
+    path = tmp_path / "c.yaml"
+    path.write_text(hiermap("config")[1])
+    assert hiermap("config", "--config", path)[1] == path.read_text()
+    path.write_text("laser: {sigma_range: 0.02}")
+    assert "sigma_range: 0.02" in hiermap("config", "--config", path)[1]
+
+
+def test_validate_tells_good_from_bad(tmp_path):
+    good, bad, broken = (tmp_path / name for name in ("good.yaml", "bad.yaml", "model.json"))
+    good.write_text("segmentation: {min_points: 4}")
+    bad.write_text("segmentation: {min_points: 2, typo: 1}")
+    broken.write_text("{")
+    status, out, err = hiermap("validate", good, bad)
+    assert status == EXIT_USAGE
+    assert out == f"{good}: valid configuration\n"
+    assert len(err.splitlines()) == 2
+    status, _, err = hiermap("validate", good, bad, broken)
+    assert status == EXIT_INPUT
+    assert len(err.splitlines()) == 3
+
+
+def test_validate_knows_floor_plans_and_jobs(tmp_path):
+    world, jobs = tmp_path / "w.yaml", tmp_path / "j.yaml"
+    world.write_text("areas: [{id: A, box: [0, 0, 4, 3]}]\nway_points: [[1, 1], [2, 1]]\n")
+    jobs.write_text("jobs:\n  - {name: a, log: [x.mcap, y.mcap], limits: ['ate_rmse<=0.2']}\n")
+    status, out, _ = hiermap("validate", world, jobs)
+    assert status == EXIT_OK
+    assert "valid world" in out
+    assert "valid jobs" in out
+    jobs.write_text("jobs:\n  - {name: a, lgo: x}\n")
+    status, _, err = hiermap("validate", jobs)
+    assert status == EXIT_USAGE
+    assert "did you mean log?" in err
+
+
+def test_validate_prints_schemas():
+    status, out, _ = hiermap("validate", "--schema", "model")
+    assert status == EXIT_OK
+    assert json.loads(out)["$id"] == "urn:hiermap:model:1"
