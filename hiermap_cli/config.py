@@ -87,6 +87,21 @@ class OdometryConfig(Section):
     prior_laser_x: NonNegative = Field(0.1, description="metres, error of the laser's x")
 
 
+class NoiseConfig(Section):
+    """Noise estimated from the log itself, by factors on the variances below."""
+
+    estimate: bool = Field(True, description="false: take the figures of this file as they are")
+    warm_up: int = Field(120, ge=0, description="key scans run twice, to learn the noise first")
+    warm_up_rate: Positive = Field(0.15, description="of the factors' logarithm, in the warm-up")
+    rate: NonNegative = Field(0.01, description="of the factors' logarithm, afterwards")
+    odometry_range: tuple[Positive, Positive] = Field(
+        (0.02, 30.0), description="bounds of the factor on the odometry's variances"
+    )
+    walls_range: tuple[Positive, Positive] = Field(
+        (1e-4, 10.0), description="bounds of the factor on the walls' unevenness"
+    )
+
+
 class FilterConfig(Section):
     """What becomes a measurement, and when."""
 
@@ -160,6 +175,38 @@ class AreaConfig(Section):
     max_extent: Positive = Field(40.0, description="metres from the area's frame")
 
 
+class LandmarkConfig(Section):
+    """Which groups of walls are landmarks (section 4), and which of them are kept."""
+
+    end_seen: int = Field(3, ge=1, description="sightings after which a wall is known to end there")
+    min_angle: Positive = Field(0.35, description="radians between the walls of a corner")
+    corner_gap: Positive = Field(0.3, description="metres from a wall's end to the corner's vertex")
+    parallel: Positive = Field(0.12, description="radians between walls that count as parallel")
+    door_min_width: Positive = Field(0.6, description="metres between jambs")
+    door_max_width: Positive = Field(1.4, description="metres between jambs; wider is no door")
+    door_step: Positive = Field(0.2, description="metres from one jamb's wall line to the other's")
+    recess: Positive = Field(0.8, description="metres; what closes a gap nearer makes it no door")
+    jamb_radius: Positive = Field(
+        0.4,
+        description="metres from where the robot passed narrowly to a wall's end that is a jamb",
+    )
+    jamb_tilt: Positive = Field(0.4, description="radians from the jamb line to a wall along it")
+    passage_max_width: Positive = Field(2.2, description="metres, of a passage that was crossed")
+    corridor_min_width: Positive = Field(0.8, description="metres between parallel walls")
+    corridor_max_width: Positive = Field(4.0, description="metres between parallel walls")
+    corridor_min_length: Positive = Field(3.0, description="metres on which both walls were seen")
+    corridor_ratio: Positive = Field(2.0, description="length over width of a corridor, at least")
+    crossing_depth: Positive = Field(0.8, description="metres of a side corridor's walls")
+    min_wall: Positive = Field(0.8, description="metres of a wall that is a landmark by itself")
+    same: Positive = Field(0.25, description="metres within which two landmarks are one")
+    prior_sigma: Positive = Field(0.1, description="metres; the robot before it sees the landmark")
+    prior_sigma_theta: Positive = Field(0.05, description="radians, likewise")
+    least_seen: int = Field(2, ge=1, description="sightings; what was seen less is not kept")
+    min_utility: NonNegative = Field(
+        8.0, description="nats that a landmark takes off the robot's uncertainty, times sightings"
+    )
+
+
 class Config(Section):
     """The whole configuration of `hiermap run`."""
 
@@ -167,12 +214,14 @@ class Config(Section):
     laser: LaserConfig = LaserConfig()
     segmentation: SegmentationConfig = SegmentationConfig()
     odometry: OdometryConfig = OdometryConfig()
+    noise: NoiseConfig = NoiseConfig()
     filter: FilterConfig = FilterConfig()
     association: AssociationConfig = AssociationConfig()
     relocation: RelocationConfig = RelocationConfig()
     forget: ForgetConfig = ForgetConfig()
     doors: DoorConfig = DoorConfig()
     areas: AreaConfig = AreaConfig()
+    landmarks: LandmarkConfig = LandmarkConfig()
     update: Literal["relocation_fusion", "ekf"] = Field(
         "relocation_fusion", description="how a constraint is added (section 3.3)"
     )

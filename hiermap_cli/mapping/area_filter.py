@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.stochastic_map import constrain
+from hiermap_cli.estimation.noise import LEAST_ROWS, Surprise, surprise
+from hiermap_cli.estimation.stochastic_map import StochasticMap, constrain
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import (
     ANCHOR,
@@ -35,20 +36,22 @@ if TYPE_CHECKING:
 
 
 class Step(NamedTuple):
-    """The area after a scan, what was matched, and the normalised innovation squared."""
+    """The area after a scan, what was matched, the normalised innovation squared over its
+    degrees of freedom, and how it speaks of the noise (None where it says too little)."""
 
     area: AreaMap
     matches: Matches
     offered: int
     nis: float
     degrees: int
+    surprise: Surprise | None
 
 
 def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     """Correct the area with one scan, then let new walls and ends in."""
     found = associate(area, view, config.association, config.filter)
     matches, constraint = found.matches, found.constraint
-    nis, degrees = 0.0, 0
+    nis, degrees, told = 0.0, 0, None
     if constraint is not None and not matches.empty():
         objects = np.concatenate((matches.wall, matches.end))
         V, nis = constrain(
@@ -57,16 +60,23 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
             lambda V: innovations(seen_frames(V, objects), view, matches),
             config.update,
         )
-        area = _seen(replace(area, V=V), view, matches, key)
         degrees = len(constraint.innovation)
+        if degrees >= LEAST_ROWS:
+            told = _surprise(area.V, V, nis, degrees)
+        area = _seen(replace(area, V=V), view, matches, key)
     known = len(area.features.uid)
-    new = (
-        ~found.near
-        & (view.length >= config.filter.min_new_length)
-    )
+    new = ~found.near & (view.length >= config.filter.min_new_length)
     area = add_walls(area, view, np.flatnonzero(new), key)
     area = _new_ends(area, view, matches, np.flatnonzero(new), known, key, config)
-    return Step(area, matches, found.offered, nis, degrees)
+    return Step(area, matches, found.offered, nis, degrees, told)
+
+
+def _surprise(before: StochasticMap, after: StochasticMap, nis: float, rows: int) -> Surprise:
+    delta_r = se2.log(se2.compose(after.robot, se2.invert(before.robot)))
+    if before.coordinates == "additive":
+        delta_r = after.robot - before.robot
+        delta_r[2] = se2.wrap_one(float(delta_r[2]))
+    return surprise(nis, rows, delta_r, before.covariance[:3, :3] - after.covariance[:3, :3])
 
 
 def _seen(area: AreaMap, view: SegmentView, matches: Matches, key: int) -> AreaMap:

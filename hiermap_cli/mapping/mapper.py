@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiermap_cli.estimation import motion as odometry_model
-from hiermap_cli.estimation.stochastic_map import initial_map, predict
+from hiermap_cli.estimation.noise import NoiseScale, adapted
+from hiermap_cli.estimation.stochastic_map import Motion, initial_map, predict
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_filter import Step, forget_unseen, observe
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap
@@ -19,10 +21,10 @@ from hiermap_cli.mapping.relocation import relocate, robot_found
 from hiermap_cli.mapping.trail import Trail
 from hiermap_cli.perception.clearance import clearance
 from hiermap_cli.perception.segmentation import segment_block
-from hiermap_cli.perception.views import scan_views
+from hiermap_cli.perception.views import scan_views, with_unevenness
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 FORGET_EVERY = 10
+WARM_UP_BLOCKS = 16  # at most, however little the robot moves
 
 
 @dataclass(slots=True)
@@ -61,6 +64,8 @@ class Mapper:
     current: int = 0
     key: int = 0
     crossings: Crossings = field(init=False)
+    noise: NoiseScale = NoiseScale()
+    noise_rate: float = 0.0
     _odometry: Array | None = None
 
     def __post_init__(self) -> None:
@@ -70,8 +75,7 @@ class Mapper:
         """Segment a block of scans and filter them one by one."""
         segments = segment_block(block, self.config.laser, self.config.segmentation)
         room = clearance(block)
-        views = scan_views(segments, len(block), self.config.filter)
-        for i, view in enumerate(views):
+        for i, view in enumerate(scan_views(segments, len(block))):
             self._scan(
                 int(block.stamps_ns[i]),
                 block.odometry[i],
@@ -92,12 +96,11 @@ class Mapper:
         if distance < c.key_distance and abs(increment[2]) < c.key_angle:
             self.trail.between(stamp_ns, increment)
             return
-        V = self.area.V
-        motion = odometry_model.motion(increment, V.parameters, self.config.odometry)
+        motion = self._motion(increment)
         suspect = self._implausible(stamp_ns, increment)
         if suspect:
             motion = odometry_model.distrusted(motion, self.config.odometry)
-        self._set(replace(self.area, V=predict(V, motion)))
+        self._set(replace(self.area, V=predict(self.area.V, motion)))
         self._odometry = odometry
         self._observe(stamp_ns, view, suspect=suspect)
         self.trail.key(stamp_ns, self.current, self.area.V, motion)
@@ -110,8 +113,12 @@ class Mapper:
     def finish(self) -> None:
         """The end of the log: scans that still wait for a key scan get their place."""
         if self._odometry is not None:
-            V, config = self.area.V, self.config.odometry
-            self.trail.finish(lambda step: odometry_model.motion(step, V.parameters, config))
+            self.trail.finish(self._motion)
+
+    def _motion(self, increment: Array) -> Motion:
+        """The motion of an odometry increment, by what is known of the odometry so far."""
+        motion = odometry_model.motion(increment, self.area.V.parameters, self.config.odometry)
+        return motion._replace(covariance=self.noise.odometry * motion.covariance)
 
     @property
     def portals(self) -> list[Portal]:
@@ -151,6 +158,7 @@ class Mapper:
         return True
 
     def _observe(self, stamp_ns: int, view: SegmentView, *, suspect: bool = False) -> None:
+        view = with_unevenness(view, self.config.filter, self.noise.walls)
         step: Step = observe(self.area, view, self.key, self.config)
         if suspect or self._poor(view, step):
             found = relocate(self.area, view, self.config.relocation, suspect=suspect)
@@ -161,6 +169,8 @@ class Mapper:
                     moved = se2.between(step.area.V.robot, again.area.V.robot)
                     step = again
                     self._event(stamp_ns, "relocated", area=self._name(), moved=moved.tolist())
+        elif step.surprise is not None:
+            self.noise = adapted(self.noise, step.surprise, self.noise_rate, self.config.noise)
         self._set(step.area)
         n = self.counts
         n.keys += 1
@@ -200,10 +210,33 @@ def run_filter(
     blocks: Iterable[ScanBlock], config: Config, progress: Callable[[int], None] | None = None
 ) -> tuple[Mapper, dict[str, float]]:
     """The filter over the whole log; returns the mapper and the seconds of each stage."""
-    mapper = Mapper(config)
     started = time.process_time()
-    for block in blocks:
+    stream = iter(blocks)
+    first, noise = learn_noise(stream, config)
+    learnt = time.process_time()
+    mapper = Mapper(config, noise=noise, noise_rate=config.noise.rate if config.noise.estimate else 0.0)
+    for block in chain(first, stream):
         mapper.take(block)
         if progress is not None:
             progress(len(block))
-    return mapper, {"filter": time.process_time() - started}
+    mapper.finish()
+    return mapper, {"noise": learnt - started, "filter": time.process_time() - learnt}
+
+
+def learn_noise(
+    stream: Iterator[ScanBlock], config: Config
+) -> tuple[list[ScanBlock], NoiseScale]:
+    """The blocks at the log's beginning, and how large the noise is by a first run over them.
+
+    So that the first walls are not entered with a noise that later proves wrong.
+    """
+    first: list[ScanBlock] = []
+    if not config.noise.estimate or not config.noise.warm_up:
+        return first, NoiseScale()
+    scout = Mapper(config, noise_rate=config.noise.warm_up_rate)
+    for block in stream:
+        first.append(block)
+        scout.take(block)
+        if scout.counts.keys >= config.noise.warm_up or len(first) >= WARM_UP_BLOCKS:
+            break
+    return first, scout.noise

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.perception.segments import END_OPEN
-
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -37,39 +35,37 @@ class SegmentView(NamedTuple):
     end_sigma: Array
     length: Array
 
-    def __len__(self) -> int:  # type: ignore[override]
-        """The number of segments (not of fields)."""
-        return self.centre.shape[0]
 
-
-def scan_views(segments: SegmentBlock, scans: int, config: FilterConfig) -> Iterator[SegmentView]:
-    """One view a scan of the block, with the unevenness of walls added to the noise.
-
-    A line that is only `length` long says less of its wall's direction than of its own: an
-    unevenness of `wall_sigma` over half the length adds to the heading's.
-    """
-    bounds = np.searchsorted(segments.scan, np.arange(scans + 1))
+def scan_views(segments: SegmentBlock, scans: int) -> Iterator[SegmentView]:
+    """One view a scan of the block, with the sensor's noise alone."""
+    bounds = np.searchsorted(segments.scan, np.arange(scans + 1)).tolist()
     theta = segments.alpha + 0.5 * np.pi
-    var_theta = segments.covariance[:, 0, 0] + config.wall_sigma_theta**2
-    var_theta = var_theta + np.square(config.wall_sigma / np.maximum(segments.length, 0.1))
-    var_y = segments.covariance[:, 1, 1] + config.wall_sigma**2
     ends = np.stack((segments.p1, segments.p2), axis=1)
     kind = np.stack((segments.end1, segments.end2), axis=1)
-    sigma = np.hypot(segments.end_sigma, config.end_sigma)
     for i in range(scans):
         s = slice(bounds[i], bounds[i + 1])
         yield SegmentView(
             segments.centre[s],
             theta[s],
-            var_theta[s],
-            var_y[s],
+            segments.covariance[s, 0, 0],
+            segments.covariance[s, 1, 1],
             ends[s],
             kind[s],
-            sigma[s],
+            segments.end_sigma[s],
             segments.length[s],
         )
 
 
-def has_ends(view: SegmentView) -> bool:
-    """Whether any segment of the view has an end that is not open."""
-    return bool(np.any(view.end_kind != END_OPEN))
+def with_unevenness(view: SegmentView, config: FilterConfig, factor: float) -> SegmentView:
+    """The view with the unevenness of walls in its noise, `factor` times the configured variance.
+
+    A line that is only `length` long says less of its wall's direction than of its own: an
+    unevenness of `wall_sigma` over the length adds to the heading's.
+    """
+    var = factor * config.wall_sigma**2
+    var_theta = view.var_theta + factor * config.wall_sigma_theta**2
+    return view._replace(
+        var_theta=var_theta + var / np.square(np.maximum(view.length, 0.1)),
+        var_y=view.var_y + var,
+        end_sigma=np.sqrt(np.square(view.end_sigma) + factor * config.end_sigma**2),
+    )

@@ -1,0 +1,64 @@
+"""How large the noise of this log is, by the filter's own innovations.
+
+The sensor's noise is known; how uneven the building's walls are, and how badly this robot's
+wheels slip, is not. A consistent update has a NIS of one a degree of freedom, and it falls into
+two independent parts: the robot's correction `delta_r = K_r y`, whose covariance is by how much
+the robot's covariance shrinks (3 degrees: is the odometry as good as said?), and the rest (k - 3
+degrees: do the walls lie where they were?). Each scales its own variance, a little at a time,
+until its part is one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import NoiseConfig
+
+    Array = NDArray[np.float64]
+
+LEAST_ROWS = 8  # of an update that may tell
+WORST = 3.0  # a single scan counts as no worse: outliers are not noise
+
+
+class NoiseScale(NamedTuple):
+    """Factors on variances: of the odometry's noise, and of the walls' unevenness."""
+
+    odometry: float = 1.0
+    walls: float = 1.0
+
+
+class Surprise(NamedTuple):
+    """The NIS of an update in its two parts, each over its degrees of freedom."""
+
+    robot: float
+    rest: float
+
+
+def surprise(nis: float, rows: int, delta_r: Array, shrunk: Array) -> Surprise:
+    """Splits a NIS. delta_r: (3,) the robot's correction; shrunk: (3, 3) the robot's covariance
+    before the update minus after it, in the same coordinates."""
+    spread = np.sqrt(np.maximum(np.diagonal(shrunk), 1e-18))
+    unit = shrunk / np.outer(spread, spread) + 1e-9 * np.eye(3)
+    z = delta_r / spread
+    robot = float(z @ np.linalg.solve(unit, z))
+    robot = min(max(robot, 0.0), nis)
+    return Surprise(robot / 3.0, (nis - robot) / (rows - 3))
+
+
+def adapted(scale: NoiseScale, seen: Surprise, rate: float, config: NoiseConfig) -> NoiseScale:
+    """The factors moved by one update: up where it surprises, down where it does not."""
+    return NoiseScale(
+        _moved(scale.odometry, seen.robot, rate, config.odometry_range),
+        _moved(scale.walls, seen.rest, rate, config.walls_range),
+    )
+
+
+def _moved(factor: float, ratio: float, rate: float, bounds: tuple[float, float]) -> float:
+    factor *= math.exp(rate * (min(ratio, WORST) - 1.0))
+    return min(max(factor, bounds[0]), bounds[1])
