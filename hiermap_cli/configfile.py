@@ -55,16 +55,19 @@ def read_yaml(path: Path, shape: type[M]) -> M:
     return parse_yaml(_read_text(Path(path)), str(path), shape)
 
 
-def top_keys(path: Path) -> set[str]:
-    """The keys at the top of a YAML file, to tell one kind of file from another.
+def top_keys(path: Path) -> dict[str, type]:
+    """The keys at the top of a YAML file and what is under them: dict, list or str.
+
+    To tell one kind of file from another.
 
     Raises:
         ConfigurationError: the file cannot be read, or is no YAML.
     """
     node = _compose(_read_text(Path(path)), str(path))
     if not isinstance(node, yaml.MappingNode):
-        return set()
-    return {str(key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode)}
+        return {}
+    kinds = {yaml.MappingNode: dict, yaml.SequenceNode: list, yaml.ScalarNode: str}
+    return {str(key.value): kinds[type(value)] for key, value in node.value}
 
 
 def _read_text(path: Path) -> str:
@@ -110,7 +113,7 @@ def parse_yaml(text: str, source: str, shape: type[M]) -> M:
         try:
             checked = shape.model_validate(value, strict=True)
         except ValidationError as error:
-            faults += faults_of(error, builder.lines)
+            faults += faults_of(error, shape, builder.lines)
         else:
             if not faults:
                 return checked

@@ -43,8 +43,10 @@ def path_text(path: Iterable[str | int]) -> str:
     return text
 
 
-def faults_of(error: ValidationError, lines: Mapping[KeyPath, int] | None = None) -> list[Fault]:
-    """Each fault that pydantic found, with its path, and its line where `lines` knows it."""
+def faults_of(
+    error: ValidationError, shape: type[BaseModel], lines: Mapping[KeyPath, int] | None = None
+) -> list[Fault]:
+    """Each fault that pydantic found in a `shape`, with its path, and its line where known."""
     lines = lines or {}
     faults = []
     for details in error.errors(include_url=False):
@@ -52,17 +54,16 @@ def faults_of(error: ValidationError, lines: Mapping[KeyPath, int] | None = None
         known = path
         while known and known not in lines:
             known = known[:-1]
-        faults.append(Fault(lines.get(known, 0), path, _message(details, error)))
+        faults.append(Fault(lines.get(known, 0), path, _message(details, shape)))
     return faults
 
 
-def _message(details: ErrorDetails, error: ValidationError) -> str:
+def _message(details: ErrorDetails, shape: type[BaseModel]) -> str:
     """One fault in a few words, with the value that was given."""
     kind, given = details["type"], details["input"]
     if kind == "extra_forbidden":
-        near = difflib.get_close_matches(
-            str(details["loc"][-1]), _known_keys(error.title), n=1, cutoff=0.6
-        )
+        *path, key = details["loc"]
+        near = difflib.get_close_matches(str(key), _keys_at(shape, path), n=1)
         return "unknown key" + (f"; did you mean {near[0]}?" if near else "")
     if kind == "missing":
         return "is missing"
@@ -74,20 +75,14 @@ def _message(details: ErrorDetails, error: ValidationError) -> str:
     return f"{message}, not {shown if len(shown) <= 60 else shown[:57] + '...'}"
 
 
-def _known_keys(title: str) -> list[str]:
-    """Every key of the model named `title` and of those in it, for a hint at a misspelt one."""
-    keys: set[str] = set()
-    models = [model for model in _all_models(BaseModel) if model.__name__ == title]
-    seen: set[type[BaseModel]] = set()
-    while models:
-        model = models.pop()
-        if model in seen:
-            continue
-        seen.add(model)
-        for name, field in model.model_fields.items():
-            keys.add(name)
-            models += _models_in(field.annotation)
-    return sorted(keys)
+def _keys_at(shape: type[BaseModel], path: Iterable[str | int]) -> list[str]:
+    """The keys that a section may have, for a hint at a misspelt one."""
+    models = [shape]
+    for part in path:
+        fields = [model.model_fields[part] for model in models if part in model.model_fields]
+        if isinstance(part, str) and fields:
+            models = [model for field in fields for model in _models_in(field.annotation)]
+    return sorted({name for model in models for name in model.model_fields})
 
 
 def _models_in(wanted: Any) -> list[type[BaseModel]]:
@@ -99,13 +94,6 @@ def _models_in(wanted: Any) -> list[type[BaseModel]]:
         for part in typing.get_args(leaf):
             found += _models_in(part)
     return found
-
-
-def _all_models(base: type[BaseModel]) -> list[type[BaseModel]]:
-    out = [base]
-    for child in base.__subclasses__():
-        out += _all_models(child)
-    return out
 
 
 def leaves(wanted: Any) -> list[Any]:

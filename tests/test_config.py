@@ -143,6 +143,14 @@ items:
     assert "did you mean number?" in found[1]
 
 
+def test_hints_are_keys_of_the_same_place():
+    assert faults("items: [{}, {cuont: 1}]") == [
+        "line 1: items[1].cuont: unknown key; did you mean count?"
+    ]
+    assert faults("numbr: 1") == ["line 1: numbr: unknown key; did you mean numbers?"]
+    assert faults("flag: 1") == ["line 1: flag: unknown key"]  # a key, but not of this place
+
+
 def test_repeated_keys_are_faults():
     found = faults("inner: {count: 1}\ninner:\n  count: 2\n  count: 3\n")
     assert found[0] == "line 2: inner: given twice (first in line 1)"
@@ -289,7 +297,7 @@ def test_shipped_configurations_hold(path):
 
 def test_top_keys(tmp_path):
     path = tmp_path / "f.yaml"
-    path.write_text("a: 1\nb: {c: 2}\n")
-    assert top_keys(path) == {"a", "b"}
+    path.write_text("a: 1\nb: {c: 2}\nd: []\n? [x]\n: y\n")
+    assert {"a": str, "b": dict, "d": list}.items() <= top_keys(path).items()
     path.write_text("- 1\n")
-    assert top_keys(path) == set()
+    assert top_keys(path) == {}

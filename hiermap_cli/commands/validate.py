@@ -88,7 +88,7 @@ def _check_yaml(path: Path) -> str:
 
         read_yaml(path, JobsDocument)
         return "jobs"
-    if not keys.isdisjoint({"way_points", "areas"}):
+    if "way_points" in keys or keys.get("areas") is list:
         from hiermap_cli.simulation.spec import WorldSpec
 
         read_yaml(path, WorldSpec)

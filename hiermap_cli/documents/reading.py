@@ -70,7 +70,7 @@ def shape_faults(document: Any, shape: type[Shape]) -> tuple[Shape | None, list[
     try:
         return shape.model_validate(document), []
     except ValidationError as error:
-        return None, [fault.text() for fault in faults_of(error)]
+        return None, [fault.text() for fault in faults_of(error, shape)]
 
 
 def joined(faults: list[str]) -> str:
