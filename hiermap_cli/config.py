@@ -159,12 +159,13 @@ class ForgetConfig(Section):
 class DoorConfig(Section):
     """When a narrow place is a door (or an opening between areas)."""
 
-    min_width: Positive = Field(0.5, description="metres between the jambs")
-    max_width: Positive = Field(1.25, description="metres between the jambs, as passed")
-    widening: Positive = Field(0.8, description="metres wider on either side of it")
+    min_width: Positive = Field(0.45, description="metres between the jambs, as passed")
+    max_width: Positive = Field(1.3, description="metres between the jambs, as passed")
+    widening: Positive = Field(0.35, description="metres wider on either side of it")
     reach: Positive = Field(1.0, description="metres of path on which it must widen")
-    wall_offset: Positive = Field(0.35, description="metres of a jamb's wall off the jambs' line")
-    min_wall: NonNegative = Field(0.8, description="metres of wall beside the jambs, together")
+    min_evidence: float = Field(
+        0.9, description="metres of wall on the line through the jambs, less metres of opening"
+    )
     hysteresis: Positive = Field(0.4, description="metres beyond a known door to have crossed it")
 
 

@@ -19,8 +19,8 @@ from hiermap_cli.mapping.crossing import Crossings, Passing
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.relocation import relocate, robot_found
 from hiermap_cli.mapping.trail import Trail
-from hiermap_cli.perception.clearance import clearance
 from hiermap_cli.perception.segmentation import segment_block
+from hiermap_cli.perception.sight import sights
 from hiermap_cli.perception.views import scan_views, with_unevenness
 
 if TYPE_CHECKING:
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import Config
     from hiermap_cli.logs.records import ScanBlock
-    from hiermap_cli.mapping.crossing import Portal
+    from hiermap_cli.mapping.portals import Portal
+    from hiermap_cli.perception.sight import Sight
     from hiermap_cli.perception.views import SegmentView
 
     Array = NDArray[np.float64]
@@ -69,22 +70,17 @@ class Mapper:
     _odometry: Array | None = None
 
     def __post_init__(self) -> None:
-        self.crossings = Crossings(self.config, self.areas, self.trail, self.events)
+        self.crossings = Crossings(self.config, self.areas, self.events)
 
     def take(self, block: ScanBlock) -> None:
         """Segment a block of scans and filter them one by one."""
         segments = segment_block(block, self.config.laser, self.config.segmentation)
-        room = clearance(block)
-        for i, view in enumerate(scan_views(segments, len(block))):
-            self._scan(
-                int(block.stamps_ns[i]),
-                block.odometry[i],
-                view,
-                float(room.left[i]),
-                float(room.right[i]),
-            )
+        views = scan_views(segments, len(block))
+        seen = sights(block, self.config.laser)
+        for i, (view, sight) in enumerate(zip(views, seen, strict=True)):
+            self._scan(int(block.stamps_ns[i]), block.odometry[i], view, sight)
 
-    def _scan(self, stamp_ns: int, odometry: Array, view: SegmentView, left: float, right: float) -> None:
+    def _scan(self, stamp_ns: int, odometry: Array, view: SegmentView, sight: Sight) -> None:
         if self._odometry is None:
             self._begin(stamp_ns, odometry)
             self._observe(stamp_ns, view)
@@ -104,8 +100,7 @@ class Mapper:
         self._odometry = odometry
         self._observe(stamp_ns, view, suspect=suspect)
         self.trail.key(stamp_ns, self.current, self.area.V, motion)
-        passed = Passing(stamp_ns, self.key, distance, left, right)
-        area = self.crossings.step(self.current, passed)
+        area = self.crossings.step(Passing(stamp_ns, self.key, distance, sight, view))
         if area != self.current:
             self.current = area
             self.trail.enter(area, self.area.V)

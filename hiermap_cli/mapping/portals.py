@@ -1,109 +1,48 @@
-"""Where areas meet: doors, found while driving by a pinch of the free space.
-
-While the robot passes a door, the jambs stand close on its left and right, and the space is
-wider a little before and a little after. Furniture pinches too; a door's jambs are ends of
-walls that run away from it across the direction of crossing (design: doors by several kinds of
-evidence together).
-"""
+"""Portals: where two areas touch, and when the robot goes through one that is known."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import ANCHOR, WALL, Features, joined
 from hiermap_cli.estimation.stochastic_map import clone_robot
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.area_map import ANCHOR, AreaMap, Features, joined
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Sequence
 
-    from hiermap_cli.config import DoorConfig
-    from hiermap_cli.mapping.area_map import AreaMap
+    from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
 
+# A door or opening that people see; a place known to be the same in both; a cut for size.
+PortalKind = Literal["door", "same", "size"]
 
-class Pinch(NamedTuple):
-    """A narrow place just passed. frame: (3,) in the area: origin midway between the jambs, X
-    along the line between them, Y in the direction of crossing. width: metres between them.
-    travelled: metres of path at which it was passed."""
-
-    frame: Array
-    width: float
-    travelled: float
+ASIDE = 0.35  # metres beside the jambs that the robot's path through a door may seem to be
 
 
-@dataclass(slots=True)
-class PinchDetector:
-    """Watches the clearance along the path; one for each stay in an area."""
+@dataclass(frozen=True, slots=True)
+class Portal:
+    """Where two areas touch: an anchor in each (one place), and where the door lies from it.
 
-    config: DoorConfig
-    travelled: list[float] = field(default_factory=list)
-    width: list[float] = field(default_factory=list)
-    frames: list[Array] = field(default_factory=list)
-    last: float = -np.inf
-
-    def passed(self, pose: Array, step: float, left: float, right: float) -> Pinch | None:
-        """Take in one scan: pose (3,) in the area, metres since the last one, clearances.
-
-        Returns the pinch that now lies `reach` behind the robot, if there is one.
-        """
-        c = self.config
-        s = (self.travelled[-1] if self.travelled else 0.0) + step
-        self.travelled.append(s)
-        self.width.append(left + right if np.isfinite(left + right) else np.inf)
-        y = 0.5 * (left - right) if np.isfinite(left + right) else 0.0
-        self.frames.append(se2.compose(pose, np.array([0.0, y, -0.5 * np.pi])))
-        while self.travelled[0] < s - 2.0 * c.reach - 0.5:
-            del self.travelled[0], self.width[0], self.frames[0]
-        at = np.asarray(self.travelled)
-        width = np.asarray(self.width)
-        middle = np.abs(at - (s - c.reach)) <= 0.5 * c.reach
-        if not middle.any():
-            return None
-        i = int(np.flatnonzero(middle)[np.argmin(width[middle])])
-        if width[i] > c.max_width or width[i] < c.min_width or at[i] - self.last < 0.5:
-            return None
-        if abs(at[i] - (s - c.reach)) > 0.25 * c.reach:
-            return None
-        before = width[(at < at[i]) & (at >= at[i] - c.reach)]
-        after = width[(at > at[i]) & (at <= at[i] + c.reach)]
-        if not len(before) or not len(after):
-            return None
-        if min(before.max(), after.max()) < width[i] + c.widening:
-            return None
-        self.last = float(at[i])
-        return Pinch(self.frames[i], float(width[i]), float(at[i]))
-
-
-def wall_evidence(area: AreaMap, pinch: Pinch, config: DoorConfig) -> float:
-    """Metres of mapped wall that run away from the pinch along its line, both sides together.
-
-    Walls within 25 degrees of the line between the jambs, near it, and reaching to within half a
-    metre of a jamb.
+    R_anchor_d: (3,) the door's frame from the anchor: origin midway between the jambs, X along
+    them, Y from area `a` to area `b`. width: metres between the jambs as passed. wall, open:
+    metres of the jambs' line that are wall, and that beams have passed, both sides together.
     """
-    f = area.features
-    walls = np.flatnonzero(f.kind == WALL)
-    if not len(walls):
-        return 0.0
-    R_d_w = se2.between(pinch.frame, area.V.poses[1 + walls])
-    tilt = np.abs(np.sin(R_d_w[:, 2]))
-    ends = se2.compose(
-        R_d_w[:, None],
-        np.stack([np.stack((v, 0 * v, 0 * v), axis=-1) for v in (f.lo[walls], f.hi[walls])], axis=1),
-    )[..., :2]
-    total = 0.0
-    for side in (-1.0, 1.0):
-        u = np.sort(side * ends[..., 0] - 0.5 * pinch.width, axis=1)
-        inner = np.take_along_axis(ends, np.argmin(side * ends[..., 0], axis=1)[:, None, None], 1)
-        ok = (tilt < 0.42) & (u[:, 0] < 0.5) & (u[:, 0] > -0.4) & (u[:, 1] > 0.2)
-        ok &= np.abs(inner[:, 0, 1]) < config.wall_offset
-        if ok.any():
-            total += float(min(u[ok, 1].max(), 2.0))
-    return total
+
+    a: int
+    anchor_a: int
+    b: int
+    anchor_b: int
+    kind: PortalKind
+    R_anchor_d: Array
+    width: float
+    wall: float
+    open: float
+    crossings: int = 1
 
 
 def add_anchor(area: AreaMap, key: int) -> tuple[AreaMap, int]:
@@ -117,4 +56,73 @@ def add_anchor(area: AreaMap, key: int) -> tuple[AreaMap, int]:
         uid=one * area.next_uid, kind=one * ANCHOR, wall=-one, side=0 * one,
         lo=np.zeros(1), hi=np.zeros(1), seen=one, last=one * key,
     )  # fmt: skip
-    return type(area)(V, joined(area.features, new), area.next_uid + 1), area.next_uid
+    return AreaMap(V, joined(area.features, new), area.next_uid + 1), area.next_uid
+
+
+def anchor_index(area: AreaMap, uid: int) -> int:
+    """Where an anchor stands among V's poses (the robot is 0)."""
+    return 1 + int(np.flatnonzero(area.features.uid == uid)[0])
+
+
+def door_frame(area: AreaMap, portal: Portal, *, from_a: bool) -> Array:
+    """R_A_d: (3,) the portal's door in the frame of one of its areas."""
+    uid = portal.anchor_a if from_a else portal.anchor_b
+    frame: Array = se2.compose(area.V.poses[anchor_index(area, uid)], portal.R_anchor_d)
+    return frame
+
+
+@dataclass(slots=True)
+class KnownDoors:
+    """Watches the doors of one area for the robot's going out by one of them."""
+
+    hysteresis: float
+    _portal: list[int] = field(default_factory=list)
+    _frame: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    _sign: Array = field(default_factory=lambda: np.zeros(0))
+    _half: Array = field(default_factory=lambda: np.zeros(0))
+    _before: Array | None = None
+    _passed: set[int] = field(default_factory=set)
+
+    def set(self, area: int, areas: Sequence[AreaMap], portals: Sequence[Portal]) -> None:
+        """Watch the doors of this area from now on."""
+        sides = [
+            (i, p, from_a)
+            for i, p in enumerate(portals)
+            for from_a in (True, False)
+            if p.kind != "same" and (p.a if from_a else p.b) == area
+        ]
+        self._portal = [i for i, _, _ in sides]
+        self._sign = np.array([1.0 if from_a else -1.0 for _, _, from_a in sides])
+        self._half = np.array([0.5 * p.width + ASIDE for _, p, _ in sides])
+        frames = [door_frame(areas[area], p, from_a=from_a) for _, p, from_a in sides]
+        self._frame = np.array(frames).reshape(-1, 3)
+        self._before = None
+        self._passed = set()
+
+    def gone_through(self, pose: Array) -> int | None:
+        """The portal by which the robot, now at `pose`, has left the area, if it has."""
+        if not self._portal:
+            return None
+        d = pose[:2] - self._frame[:, :2]
+        c, s = np.cos(self._frame[:, 2]), np.sin(self._frame[:, 2])
+        now = np.column_stack((c * d[:, 0] + s * d[:, 1], self._sign * (c * d[:, 1] - s * d[:, 0])))
+        before, self._before = self._before, now
+        if before is None:
+            return None
+        left = (before[:, 1] <= 0.0) & (now[:, 1] > 0.0)
+        for i in np.flatnonzero(left):
+            f = before[i, 1] / (before[i, 1] - now[i, 1])
+            if abs(before[i, 0] + f * (now[i, 0] - before[i, 0])) < self._half[i]:
+                self._passed.add(int(i))
+        if self._passed:
+            self._passed -= set(np.flatnonzero(now[:, 1] <= 0.0).tolist())
+        for i in sorted(self._passed):
+            if now[i, 1] > self.hysteresis:
+                return self._portal[i]
+        return None
+
+    def near(self, frame: Array, distance: float = 0.8) -> bool:
+        """Whether a known door lies about there, and about so turned."""
+        apart = np.hypot(*(self._frame[:, :2] - frame[:2]).T)
+        turned = np.abs(np.sin(self._frame[:, 2] - frame[2]))
+        return bool(np.any((apart < distance) & (turned < 0.8)))

@@ -1,0 +1,286 @@
+"""Narrow places on the robot's path, and what was seen of the line across them.
+
+At every point of the path the free width is that of the narrowest chord through it, between two
+places where beams ended, whatever its direction: so a door that is passed at a slant is as
+narrow as one passed straight. Where the path is narrower than a little before and a little
+after, the chord lies between two jambs, or between pieces of furniture. What tells them apart is
+the line through both: from a door's jambs walls run on along it, where beams end and none
+passes; beside furniture the beams go on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import DoorConfig
+    from hiermap_cli.perception.sight import Sight
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+NEAR = 3.0  # metres: ends nearer than this to the laser tell the width of the path
+KEPT = 5.0  # metres of path that are remembered
+MOST = 150  # scans that are remembered
+APART, APART_ANGLE = 0.08, 0.1  # metres or radians between scans that are remembered
+SAMPLE = 0.1  # metres of path between the points at which its width is taken
+LAG = 0.3  # metres of path beyond a point before its width is taken
+WIDEST = 1.6  # metres from a point of the path in which a jamb is looked for
+SECTORS = 48
+OPPOSITE = 2  # sectors by which the two jambs may miss opposite directions
+BIN = 0.1  # metres of the line beside a jamb that are judged together
+BINS = 12
+THICKNESS = 0.22  # metres off the line at which a beam's end still belongs to the wall
+BEYOND = 0.3  # metres behind the line that a beam must reach to have passed it
+STAND_OFF = 0.25  # metres off the line from which it is judged
+
+
+class Passage(NamedTuple):
+    """A narrow place that the robot has passed.
+
+    frame: (3,) origin midway between the jambs, X along the line between them, Y in the
+    direction of crossing. width: metres between the jambs. travelled: metres of path at which it
+    was passed. wall, open: (2,) metres of the line beside each jamb (left of the crossing is the
+    negative X, first) that are wall, and that beams have passed.
+    """
+
+    frame: Array
+    width: float
+    travelled: float
+    wall: Array
+    open: Array
+
+    @property
+    def evidence(self) -> float:
+        """Metres of wall beside the jambs less metres that are open."""
+        return float(self.wall.sum() - self.open.sum())
+
+
+@dataclass(slots=True)
+class Trace:
+    """The last metres of the path and what was seen from there, in the frame of the area."""
+
+    travelled: list[float] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    origins: list[Array] = field(default_factory=list)
+    ends: list[Array] = field(default_factory=list)
+    near: list[Array] = field(default_factory=list)
+    length: float = 0.0
+
+    def add(self, pose: Array, step: float, sight: Sight) -> None:
+        """A scan taken at `pose` (3,), `step` metres of path after the last one."""
+        self.length += step
+        if self.poses:
+            last = self.poses[-1]
+            turned = abs(float(se2.wrap(pose[2] - last[2])))
+            if self.length - self.travelled[-1] < APART and turned < APART_ANGLE:
+                return
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        turn = np.array([[c, s], [-s, c]])
+        origin = pose[:2] + sight.origin @ turn
+        ends = pose[:2] + sight.ends @ turn
+        d = ends - origin
+        self.travelled.append(self.length)
+        self.poses.append(pose)
+        self.origins.append(origin)
+        self.ends.append(ends)
+        self.near.append(ends[(d * d).sum(axis=1) < NEAR * NEAR])
+        old = 0
+        while self.travelled[old] < self.length - KEPT or len(self.poses) - old > MOST:
+            old += 1
+        if old:
+            for kept in (self.travelled, self.poses, self.origins, self.ends, self.near):
+                del kept[:old]  # type: ignore[attr-defined]
+
+    def move(self, R_b_a: Array) -> None:
+        """Into the frame of another area, seen from which the present one is `R_b_a`."""
+        c, s = np.cos(R_b_a[2]), np.sin(R_b_a[2])
+        turn = np.array([[c, s], [-s, c]])
+        self.poses = [se2.compose(R_b_a, pose) for pose in self.poses]
+        for kept in (self.origins, self.ends, self.near):
+            kept[:] = [R_b_a[:2] + points @ turn for points in kept]
+
+    def rays(self, start: float) -> tuple[Array, Array]:
+        """Origins and ends (n, 2) of all beams since `start` metres of path."""
+        first = int(np.searchsorted(self.travelled, start))
+        counts = [len(ends) for ends in self.ends[first:]]
+        return np.repeat(self.origins[first:], counts, axis=0), np.concatenate(self.ends[first:])
+
+
+@dataclass(slots=True)
+class PassageDetector:
+    """Takes the width of the path as the robot goes, and tells narrow places it has passed."""
+
+    config: DoorConfig
+    at: list[float] = field(default_factory=list)
+    width: list[float] = field(default_factory=list)
+    jambs: list[Array] = field(default_factory=list)
+    heading: list[Array] = field(default_factory=list)
+    _next: float = SAMPLE
+    _last: float = 0.0
+
+    def forget_before(self, travelled: float) -> None:
+        """Nothing that was passed before is told any more."""
+        self._last = travelled
+
+    def move(self, R_b_a: Array) -> None:
+        """Into the frame of another area; see `Trace.move`."""
+        c, s = np.cos(R_b_a[2]), np.sin(R_b_a[2])
+        turn = np.array([[c, s], [-s, c]])
+        self.jambs = [R_b_a[:2] + jambs @ turn for jambs in self.jambs]
+        self.heading = [heading @ turn for heading in self.heading]
+
+    def passed(self, trace: Trace) -> Passage | None:
+        """The next narrow place that now lies behind the robot, if there is one."""
+        while self._next <= trace.length - LAG:
+            self._take(trace, self._next)
+            self._next += SAMPLE
+        return self._narrowest(trace)
+
+    def _take(self, trace: Trace, s: float) -> None:
+        i = int(np.clip(np.searchsorted(trace.travelled, s), 1, max(len(trace.poses) - 1, 1)))
+        if len(trace.poses) < 2:
+            return
+        a, b = trace.poses[i - 1][:2], trace.poses[i][:2]
+        span = trace.travelled[i] - trace.travelled[i - 1]
+        f = (s - trace.travelled[i - 1]) / span if span > 0 else 1.0
+        point = a + min(max(f, 0.0), 1.0) * (b - a)
+        width, jambs = narrowest_chord(point, np.concatenate(trace.near))
+        self.at.append(s)
+        self.width.append(width)
+        self.jambs.append(jambs)
+        self.heading.append(b - a)
+        if len(self.at) > 3 * self.config.reach / SAMPLE + 20:
+            for kept in (self.at, self.width, self.jambs, self.heading):
+                del kept[0]  # type: ignore[attr-defined]
+
+    def _narrowest(self, trace: Trace) -> Passage | None:
+        c = self.config
+        if len(self.at) < 8:
+            return None
+        at, width = np.asarray(self.at), np.asarray(self.width)
+        s = at[-1]
+        window = np.flatnonzero((at > max(s - c.reach, self._last)) & (at <= s - 0.4))
+        if not len(window):
+            return None
+        i = int(window[np.argmin(width[window])])
+        if not c.min_width <= width[i] <= c.max_width:
+            return None
+        before = width[(at < at[i]) & (at >= at[i] - c.reach)]
+        after = width[(at > at[i]) & (at <= at[i] + c.reach)]
+        near = np.abs(at - at[i]) <= 0.4
+        if not len(before) or width[i] > width[near].min():
+            return None
+        if min(before.max(), after.max()) < width[i] + c.widening:
+            return None
+        frame = _frame(self.jambs[i], self.heading[i])
+        if se2.between(frame, trace.poses[-1])[1] < STAND_OFF:
+            return None
+        self._last = float(at[i]) + 0.4
+        frame, wall, opened = aligned(frame, float(width[i]), *trace.rays(at[i] - 4.0))
+        return Passage(frame, float(width[i]), float(at[i]), wall, opened)
+
+
+def narrowest_chord(point: Array, ends: Array) -> tuple[float, Array]:
+    """The narrowest chord through a point between beams' ends: its length, its ends (2, 2).
+
+    Ends beyond `WIDEST` do not count: the longest chord is twice that.
+    """
+    d = ends - point
+    r2 = (d * d).sum(axis=1)
+    near = r2 < WIDEST * WIDEST
+    d, r = d[near], np.sqrt(r2[near])
+    sector = ((np.arctan2(d[:, 1], d[:, 0]) / (2.0 * np.pi) + 0.5) * SECTORS).astype(np.int64)
+    sector %= SECTORS
+    order = np.lexsort((-r, sector))
+    nearest = np.full(SECTORS, WIDEST)
+    nearest[sector[order]] = r[order]  # of one sector the nearest is written last
+    turns = np.arange(-OPPOSITE, OPPOSITE + 1) + SECTORS // 2
+    across = nearest[(np.arange(SECTORS)[:, None] + turns) % SECTORS]
+    chord = nearest + across.min(axis=1)
+    i = int(np.argmin(chord))
+    j = int((i + turns[np.argmin(across[i])]) % SECTORS)
+    jambs = np.empty((2, 2))
+    for k, b in enumerate((i, j)):
+        if nearest[b] < WIDEST:
+            inside = np.flatnonzero(sector == b)
+            jambs[k] = point + d[inside[np.argmin(r[inside])]]
+        else:
+            angle = 2.0 * np.pi * ((b + 0.5) / SECTORS - 0.5)
+            jambs[k] = point + WIDEST * np.array([np.cos(angle), np.sin(angle)])
+    return float(chord[i]), jambs
+
+
+def _frame(jambs: Array, heading: Array) -> Array:
+    along = jambs[1] - jambs[0]
+    theta = float(np.arctan2(along[1], along[0]))
+    if along[0] * heading[1] - along[1] * heading[0] < 0.0:
+        theta += np.pi
+    middle = jambs.mean(axis=0)
+    return np.array([middle[0], middle[1], float(se2.wrap(theta))])
+
+
+def aligned(
+    frame: Array, width: float, origins: Array, ends: Array
+) -> tuple[Array, Array, Array]:
+    """The frame turned and moved a little so that most wall and least opening lies on its line.
+
+    Returns it with metres of wall and of opening beside each jamb.
+    """
+    origins, ends = _about(frame, 0.5 * width + BIN * BINS + 0.8, origins, ends)
+    best = None
+    for turn in np.arange(-0.6, 0.61, 0.1):
+        for offset in (-0.1, 0.0, 0.1):
+            tried = se2.compose(frame, np.array([0.0, offset, turn]))
+            wall, opened = line_evidence(tried, width, origins, ends)
+            score = wall.sum() - opened.sum() - 0.2 * abs(turn)
+            if best is None or score > best[0]:
+                best = (score, tried, wall, opened)
+    assert best is not None
+    return best[1], best[2], best[3]
+
+
+def _about(frame: Array, radius: float, origins: Array, ends: Array) -> tuple[Array, Array]:
+    """The beams that come within `radius` of the frame's origin."""
+    d = ends - origins
+    t = ((frame[:2] - origins) * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), 1e-12)
+    foot = origins + np.clip(t, 0.0, 1.0)[:, None] * d - frame[:2]
+    near = (foot * foot).sum(axis=1) < radius * radius
+    return origins[near], ends[near]
+
+
+def line_evidence(
+    frame: Array, width: float, origins: Array, ends: Array
+) -> tuple[Array, Array]:
+    """Metres (2,) of the line beside each jamb that are wall, and that beams have passed.
+
+    A piece of the line is wall where beams end on it and (nearly) none passes, open where more
+    pass than end; where no beam comes it is neither.
+    """
+    c, s = np.cos(frame[2]), np.sin(frame[2])
+    turn = np.array([[c, -s], [s, c]])
+    o, e = (origins - frame[:2]) @ turn, (ends - frame[:2]) @ turn
+    off = np.abs(o[:, 1]) > STAND_OFF
+    on_line = off & (np.abs(e[:, 1]) < THICKNESS)
+    through = off & (o[:, 1] * e[:, 1] < 0.0) & (np.abs(e[:, 1]) > BEYOND)
+    f = o[through, 1] / (o[through, 1] - e[through, 1])
+    crossed = o[through, 0] + f * (e[through, 0] - o[through, 0])
+    wall, opened = np.zeros(2), np.zeros(2)
+    for k, side in enumerate((-1.0, 1.0)):
+        hits = _counts((side * e[on_line, 0] - 0.5 * width) / BIN)
+        passes = _counts((side * crossed - 0.5 * width) / BIN)
+        wall[k] = BIN * np.count_nonzero((hits >= 2) & (3 * passes <= hits))
+        opened[k] = BIN * np.count_nonzero((passes >= 2) & (passes > hits))
+    return wall, opened
+
+
+def _counts(bins: Array) -> Index:
+    inside = bins[(bins >= 0.0) & (bins < BINS)].astype(np.int64)
+    return np.bincount(inside, minlength=BINS)
