@@ -202,6 +202,8 @@ class LandmarkConfig(Section):
     same: Positive = Field(0.25, description="metres within which two landmarks are one")
     prior_sigma: Positive = Field(0.1, description="metres; the robot before it sees the landmark")
     prior_sigma_theta: Positive = Field(0.05, description="radians, likewise")
+    sighting_sigma: Positive = Field(0.03, description="metres; how well a wall is seen again")
+    sighting_sigma_theta: Positive = Field(0.015, description="radians, likewise, of a long wall")
     least_seen: int = Field(2, ge=1, description="sightings; what was seen less is not kept")
     min_utility: NonNegative = Field(
         8.0, description="nats that a landmark takes off the robot's uncertainty, times sightings"

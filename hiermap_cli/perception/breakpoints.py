@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from hiermap_cli.config import LaserConfig, SegmentationConfig
     from hiermap_cli.perception.beams import Beams
 
+SAMPLE = 4000  # triples of beams that are looked at for the noise of a block
+
 
 def breakpoints(beams: Beams, laser: LaserConfig, config: SegmentationConfig) -> NDArray[np.bool_]:
     """True for each point (N,) that begins a new surface in its scan.
@@ -75,3 +77,20 @@ def _runs_on(beams: Beams, laser: LaserConfig, suspect: NDArray[np.int64]) -> ND
     decided = jump > 2.0 * np.maximum(bound_left, bound_right)
     fits = (np.abs(left) < bound_left) & (np.abs(right) < bound_right)
     return np.asarray(inside & decided & fits)
+
+
+def shown_noise(beams: Beams) -> float:
+    """The noise of a range that the scans themselves show, metres; inf where too little is seen.
+
+    Along a wall the inverse ranges of three neighbouring beams obey
+    q[i - 1] - 2 cos(spacing) q[i] + q[i + 1] = 0; the median of what is left over is the noise's,
+    as most triples lie on something straight.
+    """
+    middle = np.arange(1, len(beams.cell) - 1, max(1, len(beams.cell) // SAMPLE))
+    middle = middle[beams.cell[middle + 1] - beams.cell[middle - 1] == 2]
+    if len(middle) < 10:
+        return np.inf
+    q = 1.0 / beams.r[middle[:, None] + np.array((-1, 0, 1))]
+    left_over = q[:, 0] - 2.0 * np.cos(beams.spacing) * q[:, 1] + q[:, 2]
+    error = np.abs(left_over) * beams.r[middle] ** 2
+    return float(np.median(error) / (0.6745 * np.sqrt(6.0)))

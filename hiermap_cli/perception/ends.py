@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     Mask = NDArray[np.bool_]
 
 LOOK = np.array((1, 2, 3, 4, 6, 8))  # beams beyond the end that are asked, while undecided
-LOOSE = 4  # beams between the ends of two segments that may meet in a vertex, and one
+LOOSE = 9  # beams between the ends of two segments that may meet in a vertex, and one
 VERTEX_SINE = 0.17  # lines that differ by less than about ten degrees make no vertex
 GRAZING = 0.02  # cosine of incidence below which a beam does not meet the line any more
 

@@ -74,6 +74,10 @@ class _State:
         self.noise[k] = np.maximum((sigma * cosine) ** 2, shown)
         self.scatter[k], self.normal[:, k] = scatter, (line.nx, line.ny)
 
+    def extent(self, k: Index) -> Array:
+        """Squared distances between the extreme points of the segments k."""
+        return _square_gap(self.beams, self.first[k], self.last[k])
+
     def join(self, i: Index, j: Index) -> None:
         """Merge each segment j into i; no segment may occur twice."""
         self.sums[:, i] += self.sums[:, j]
@@ -203,7 +207,8 @@ def _mergeable(state: _State, i: Index, j: Index, config: SegmentationConfig) ->
     """Whether one line holds segments i and j, and nothing between denies it; and the cost.
 
     What a common line costs, the growth of the scatter, is the noise's variance times a chi-square
-    of two degrees of freedom when both are one line. Walls are uneven: the smaller piece may turn
+    of two degrees of freedom when both are one line, or a little more as runs are split where they
+    deviate most (hence one sigma more). Walls are uneven: the smaller piece may turn
     off the line by half of `split_floor` at its end, which is a third of that squared a point;
     but all points together must still make a line.
     """
@@ -212,23 +217,29 @@ def _mergeable(state: _State, i: Index, j: Index, config: SegmentationConfig) ->
     n = n_i + n_j
     scatter = least_scatter(both)
     noise = (n_i * state.noise[i] + n_j * state.noise[j]) / n
-    bends = np.minimum(n_i, n_j) * (state.uneven / 3.0) + config.split_sigmas**2 * noise
+    bends = np.minimum(n_i, n_j) * (state.uneven / 3.0) + (config.split_sigmas + 1.0) ** 2 * noise
     cost = (scatter - state.scatter[i] - state.scatter[j]) / bends
-    good = (cost < 1.0) & (scatter < (n - 2.0) * (state.uneven + noise))
+    freedom = n - 2.0
+    most = freedom + config.split_sigmas * np.sqrt(2.0 * freedom)
+    good = (cost < 1.0) & (scatter < most * (state.uneven + noise))
+    # Two small heaps far apart are no line, although one always goes through both.
+    gap = _square_gap(state.beams, state.last[i], state.first[j])
+    good &= gap <= np.maximum(state.extent(i), state.extent(j))
     some = np.flatnonzero(good)
     last, first = state.last[i[some]], state.first[j[some]]
-    good[some] = _gap_allows(state.beams, last, first, both[:, some], config)
+    good[some] = _gap_allows(state, last, first, both[:, some], config)
     return good, cost
 
 
 def _gap_allows(
-    beams: Beams, last: Index, first: Index, sums: Array, config: SegmentationConfig
+    state: _State, last: Index, first: Index, sums: Array, config: SegmentationConfig
 ) -> Mask:
     """Whether nothing between two pieces of common moments shows that the wall is missing there.
 
     Beams between must say nothing, end on the line, or before it; where the pieces are near, one
     beam alone may go farther. Where they are not, at most one beam may not end on the line.
     """
+    beams, laser = state.beams, state.laser
     width = beams.ranges.shape[1]
     between = beams.cell[first] - beams.cell[last] - 1
     between = np.where(between < 0, between + width, between)  # over the seam
@@ -249,10 +260,13 @@ def _gap_allows(
     nx, ny, d = (np.repeat(v, count) for v in line)
     beam = beams.beam(cells)
     cosine = nx * beams.ux[beam] + ny * beams.uy[beam]
+    r = beams.ranges.ravel()[cells]
+    sigma = laser.sigma_range + laser.sigma_range_scale * np.where(np.isfinite(r), r, 0.0)
+    tolerance = np.maximum(config.split_floor, config.split_sigmas * sigma * cosine)
     with np.errstate(invalid="ignore"):
-        off = beams.ranges.ravel()[cells] * cosine - d
-        far = (off > 2.0 * config.split_floor) & (cosine > 0.0)
-        off_line = ~(np.abs(off) <= config.split_floor)
+        off = r * cosine - d
+        far = (off > tolerance) & (cosine > 0.0)
+        off_line = ~(np.abs(off) <= tolerance)
     farther = np.add.reduceat(far.astype(np.int64), starts)
     unlike = np.add.reduceat(off_line.astype(np.int64), starts)
     ok[apart] = (farther <= near) & (near | (unlike <= 1))

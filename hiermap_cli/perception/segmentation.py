@@ -12,13 +12,14 @@ import numpy as np
 
 from hiermap_cli.geometry.se2 import wrap
 from hiermap_cli.perception.beams import arrange, concatenated_ranges
-from hiermap_cli.perception.breakpoints import breakpoints
+from hiermap_cli.perception.boundaries import clear_seam, place_boundaries
+from hiermap_cli.perception.breakpoints import breakpoints, shown_noise
 from hiermap_cli.perception.ends import describe_ends
 from hiermap_cli.perception.fitting import fit_moments, gather, refine
 from hiermap_cli.perception.merging import merge
 from hiermap_cli.perception.segments import SegmentBlock
 from hiermap_cli.perception.splitting import split
-from hiermap_cli.perception.trimming import gain_points, inner_lines, place_boundaries
+from hiermap_cli.perception.tails import gain_points, inner_lines
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]
     Mask = NDArray[np.bool_]
+
+NOISELESS = 2e-5  # metres of noise below which ranges come from no real sensor
 
 # glibc gives freed arrays of more than 128 kB back to the system, and every new one then costs its
 # page faults: half of all the time here. A large block freed once, never touched, raises that
@@ -50,12 +53,17 @@ def segment_block(block: ScanBlock, laser: LaserConfig, config: SegmentationConf
     beams = arrange(block, laser, config.max_range)
     if not len(beams.cell):
         return _empty()
+    noise, floors = laser, config
+    if shown_noise(beams) < NOISELESS:
+        # Nothing is uneven in a simulation without noise: no bend is too small to be a corner.
+        noise = laser.model_copy(update={"sigma_range": NOISELESS, "sigma_range_scale": 0.0})
+        floors = config.model_copy(update={"split_floor": NOISELESS})
     breaks = breakpoints(beams, laser, config)
-    runs = split(beams, breaks, laser, config)
-    pieces = merge(beams, runs, laser, config)
+    runs = split(beams, breaks, noise, floors)
+    pieces = merge(beams, runs, noise, floors)
     if not len(pieces.first):
         return _empty()
-    members, lines = _members(beams, breaks, pieces, laser, config)
+    members, lines = _members(beams, breaks, pieces, noise, floors)
     if not len(members.starts):
         return _empty()
     fit = _final_fit(members, lines, laser, config)
@@ -70,13 +78,19 @@ def _members(
     config: SegmentationConfig,
 ) -> tuple[Members, Lines]:
     """The points of each segment in the end, and lines of the inner ones."""
-    first, last = place_boundaries(beams, breaks, pieces)
+    first, last = place_boundaries(beams, breaks, pieces, laser, config)
+    if beams.cyclic:
+        first, last = clear_seam(beams, pieces, first, last)
     owner = pieces.run_segment
     lines = fit_moments(pieces.sums)
-    first, last = gain_points(beams, breaks, lines.take(owner), (first, last, owner), laser, config)
+    first, last = gain_points(beams, breaks, lines.take(owner), first, last, laser, config)
     # Of a wall across the seam the runs before the seam come first.
     order = np.lexsort((first, pieces.run_first < pieces.first[owner], owner))
     first, last, owner = first[order], last[order], owner[order]
+    # Beside what stands before a wall, the last point may be of neither.
+    parted = (owner[1:] == owner[:-1]) & (np.abs(first[1:] - last[:-1]) > 1)
+    last[:-1] -= parted & (last[:-1] - first[:-1] > 2)
+    first[1:] += parted & (last[1:] - first[1:] > 2)
     run_counts = np.maximum(last - first + 1, 0)
     counts = np.bincount(owner, run_counts, minlength=len(pieces.first)).astype(np.int64)
     enough = counts >= config.min_points
@@ -89,7 +103,7 @@ def _members(
 
     index = concatenated_ranges(first, last - first + 1)
     members = gather(beams, index, counts)
-    lines, foretold = inner_lines(members)
+    lines, foretold = inner_lines(members, laser)
     if not foretold.all():
         counts = members.total(foretold)
         enough = counts >= config.min_points

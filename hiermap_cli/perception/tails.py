@@ -1,10 +1,4 @@
-"""Which points belong to which line: boundaries at corners, points gained beyond, tails dropped.
-
-A point at a corner given to the wrong wall bends its line by far more than noise does. Here the
-boundary between two neighbours goes where both lines explain their points best, single points
-beyond a jump join the line that foretells them, and points at the ends of a segment that its own
-inner points do not foretell are dropped.
-"""
+"""The ends of segments: points gained beyond them, tails that the inner points do not foretell."""
 
 from __future__ import annotations
 
@@ -13,12 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiermap_cli.perception.beams import concatenated_ranges
-from hiermap_cli.perception.fitting import (
-    few_moments,
-    fit_moments,
-    least_scatter,
-    run_moments,
-)
+from hiermap_cli.perception.fitting import few_moments, fit_moments, least_scatter, run_moments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,15 +15,10 @@ if TYPE_CHECKING:
     from hiermap_cli.config import LaserConfig, SegmentationConfig
     from hiermap_cli.perception.beams import Beams
     from hiermap_cli.perception.fitting import Lines, Members
-    from hiermap_cli.perception.merging import Pieces
 
-    Array = NDArray[np.float64]
     Index = NDArray[np.int64]
     Mask = NDArray[np.bool_]
 
-WINDOW = 4  # points on each side of a boundary that may change sides
-LOOSE = 3  # points of no segment between two neighbours that are shared out
-UNSURE = 2  # points on each side of a boundary that do not help to place it
 TAIL = 4  # points at each end that must be foretold by the others
 GAIN = 6  # points that a segment may gain beyond each end
 
@@ -48,60 +32,12 @@ STUDENT = np.array(
 )
 
 
-def place_boundaries(beams: Beams, breaks: Mask, pieces: Pieces) -> tuple[Index, Index]:
-    """New first and last points of the runs, (R,), (R,), where neighbours meet at a corner.
-
-    Of every cut in the window around the old one, that with the least sum of squared residuals is
-    taken; the lines for it are fitted without the points next to the old cut.
-    """
-    first, last = pieces.run_first.copy(), pieces.run_last.copy()
-    owner = pieces.run_segment
-    left = np.flatnonzero((first[1:] - last[:-1] - 1 <= LOOSE) & (owner[1:] != owner[:-1]))
-    surface = np.cumsum(breaks)
-    left = left[surface[first[left + 1]] == surface[last[left]]]
-    if not len(left):
-        return first, last
-    right = left + 1
-    runs = np.concatenate((left, right))
-    inwards = np.repeat((-1, 1), len(left))
-    edge = np.concatenate((last[left], first[right]))
-    unsure = np.clip((last[runs] - first[runs] - 2) // 2, 0, UNSURE)
-    step = np.arange(UNSURE)
-    point = edge[:, None] + inwards[:, None] * np.minimum(step, np.maximum(unsure - 1, 0)[:, None])
-    dropped = few_moments(beams.x[point], beams.y[point], step < unsure[:, None])
-    lines = fit_moments(pieces.sums[:, owner[runs]] - dropped)
-
-    size = 2 * WINDOW + LOOSE
-    lo = np.maximum(first[left] + 1, last[left] - WINDOW + 1)
-    hi = np.minimum(last[right] - 1, first[right] + WINDOW - 1)
-    grid = lo[:, None] + np.arange(size)
-    point = np.minimum(grid, hi[:, None])
-    cost = _square_residuals(beams, lines, np.concatenate((point, point)))
-    cost *= np.tile(grid <= hi[:, None], (2, 1))
-    # Cut k gives the first k points of the window to the left.
-    total = np.zeros((len(left), size + 1))
-    np.cumsum(cost[: len(left)], axis=1, out=total[:, 1:])
-    total[:, :-1] += np.cumsum(cost[len(left) :, ::-1], axis=1)[:, ::-1]
-    total[np.arange(size + 1)[None, :] > (hi - lo + 1)[:, None]] = np.inf
-    cut = np.argmin(total, axis=1)
-    last[left] = lo + cut - 1
-    first[right] = lo + cut
-    return first, last
-
-
-def _square_residuals(beams: Beams, lines: Lines, point: Index) -> Array:
-    """Squared distances of points (K, m) from the lines (K,)."""
-    e = lines.nx[:, None] * beams.x[point] + lines.ny[:, None] * beams.y[point]
-    e -= lines.d[:, None]
-    e *= e
-    return e
-
-
 def gain_points(
     beams: Beams,
     breaks: Mask,
     lines: Lines,
-    runs: tuple[Index, Index, Index],
+    first: Index,
+    last: Index,
     laser: LaserConfig,
     config: SegmentationConfig,
 ) -> tuple[Index, Index]:
@@ -114,11 +50,11 @@ def gain_points(
         beams: the block.
         breaks: (N,) where surfaces begin.
         lines: (R,) of the segments of the runs.
-        runs: first and last points and segments of the runs, (R,) each, in order.
+        first: (R,) first points of the runs, in order.
+        last: (R,) last points.
         laser: noise of ranges.
         config: how uneven a wall may be.
     """
-    first, last, _ = runs
     total = len(beams.cell)
     free = np.ones(total + 2, dtype=bool)
     free[concatenated_ranges(first, last - first + 1)] = False
@@ -157,17 +93,19 @@ def _on_line(
     fits = (between >= 0) & (between <= config.max_gap_beams)
     fits &= cell[:, 1:] // width == cell[:, :1] // width
     sigma = laser.sigma_range + laser.sigma_range_scale * beams.r[near]
-    cosine = lines.nx[:, None] * beams.dx[near] + lines.ny[:, None] * beams.dy[near]
-    allowed = np.maximum(0.5 * config.split_floor, config.split_sigmas * sigma * cosine)
-    fits &= _square_residuals(beams, lines, near) <= allowed * allowed
+    nx, ny, d = (v[:, None] for v in lines)
+    off = np.abs(nx * beams.x[near] + ny * beams.y[near] - d)
+    cosine = nx * beams.dx[near] + ny * beams.dy[near]
+    fits &= off <= np.maximum(0.5 * config.split_floor, config.split_sigmas * sigma * cosine)
     return np.asarray(fits)
 
 
-def inner_lines(members: Members) -> tuple[Lines, Mask]:
+def inner_lines(members: Members, laser: LaserConfig) -> tuple[Lines, Mask]:
     """Lines (K,) of the inner points, and which points (M,) at the ends they foretell.
 
-    The inner points' own scatter is the measure, whatever the sensor's noise is said to be, so
-    that on noiseless data nothing bent remains. Once a point is dropped, so are those beyond it.
+    A point must lie within the noise of the sensor and of the inner points, and within what the
+    latter alone foretell, so that on noiseless data nothing bent remains. Once a point is dropped,
+    so are those beyond it.
     """
     starts, counts = members.starts, members.counts
     tail = np.clip((counts - 4) // 2, 0, TAIL)
@@ -193,8 +131,12 @@ def inner_lines(members: Members) -> tuple[Lines, Mask]:
     s = nx * (y - my[:, None]) - ny * (x - mx[:, None])
     # The foretelling's own error grows with the distance from the inner points.
     lever = (1.0 + 1.0 / n)[:, None] + s * s / np.maximum(extent, 1e-9)[:, None]
-    limit = bound * np.maximum(scatter / freedom, 1e-12)
-    bad = asked & (residual * residual > limit[:, None] * lever)
+    spread = np.maximum(scatter / freedom, 1e-12)
+    sigma = laser.sigma_range + laser.sigma_range_scale * members.r[place]
+    cosine = nx * members.ux[place] + ny * members.uy[place]
+    limit = np.maximum((sigma * cosine) ** 2, spread[:, None]) * STUDENT[-1] ** 2
+    np.minimum(limit, (bound * spread)[:, None], out=limit)
+    bad = asked & (residual * residual > limit * lever)
     some = np.flatnonzero(bad.any(axis=1))
     foretold = np.ones(len(members.point), dtype=bool)
     for half in (slice(0, TAIL), slice(TAIL, 2 * TAIL)):
