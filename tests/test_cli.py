@@ -74,9 +74,9 @@ def test_run_writes_every_file(log, tmp_path):
     status, out, err = hiermap("run", log, "-o", tmp_path / "out")
     assert (status, out) == (EXIT_OK, "")
     assert names(tmp_path / "out") == FILES
-    assert "areas: 2: 1 rooms, 1 corridors" in err
+    assert "areas: 2: 1 room, 1 corridor" in err
     assert "landmarks: 4: 1 corner_concave, 1 corner_convex, 2 door" in err
-    assert "doors: 1, crossed 2 times" in err
+    assert "doors: 1, 2 crossings" in err
     assert "odometry error corrected" in err
     assert "\x1b" not in err
     status, out, err = hiermap("validate", *sorted((tmp_path / "out").iterdir()))

@@ -123,8 +123,8 @@ class TerminalDisplay(Display):
         """Moves the bar on."""
         if self._progress is not None:
             task = self._progress.tasks[0]
-            speed = f"{task.speed:.0f} scans/s" if task.speed else ""
-            self._progress.update(self._task, advance=scans, rate=speed)
+            rate = (task.completed + scans) / task.elapsed if task.elapsed else 0.0
+            self._progress.update(self._task, advance=scans, rate=f"{rate:.0f} scans/s")
 
     def entered(self, stage: str) -> None:
         """Says what goes on once the scans are through."""
@@ -171,7 +171,7 @@ def summary_rows(outcome: RunOutcome) -> list[tuple[str, str]]:
         ("scans", str(outcome.scans)),
         ("areas", _areas(values)),
         ("landmarks", _count(values, "landmarks") + (f": {by_kind}" if by_kind else "")),
-        ("doors", f"{_count(values, 'doors')}, crossed {_count(values, 'door_crossings')} times"),
+        ("doors", f"{_count(values, 'doors')}, {_count(values, 'door_crossings')} crossings"),
         ("matches", _count(values, "matches")),
         ("failures", _failures(values)),
         ("odometry error corrected", _correction(values)),
@@ -205,13 +205,16 @@ def _count(values: dict[str, float], name: str) -> str:
 
 
 def _areas(values: dict[str, float]) -> str:
-    parts = [f"{int(values[name])} {name}" for name in ("rooms", "corridors") if values.get(name)]
+    kinds = {"rooms": "room", "corridors": "corridor"}
+    parts = [f"{int(values[name])} {kind}" for name, kind in kinds.items() if values.get(name)]
     return _count(values, "areas") + (f": {', '.join(parts)}" if parts else "")
 
 
 def _failures(values: dict[str, float]) -> str:
     count = _count(values, "matching_failures")
-    return f"{count} scans that matched nothing known" if count else ""
+    return (
+        f"{count} {'scan' if count == '1' else 'scans'} that matched nothing known" if count else ""
+    )
 
 
 def _correction(values: dict[str, float]) -> str:
