@@ -11,8 +11,6 @@ import os
 import sys
 import time
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -28,14 +26,18 @@ from hiermap_cli.errors import (
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 
-@dataclass
 class Session:
-    """What the boundary must know of the command that runs."""
+    """What the boundary must know of the command that runs.
+
+    verbose: tracebacks go to stderr. beside: the folder for their file, or None for the working
+    folder.
+    """
 
     verbose: bool = False
-    beside: Path | None = None  # folder for a traceback; the working folder if None
+    beside: Path | None = None
 
 
 def session() -> Session:
@@ -112,6 +114,7 @@ def _say_fault(error: Exception, state: Session) -> None:
 def _write_traceback(text: str, beside: Path | None) -> Path | None:
     """The file that holds the traceback, or None where no folder takes it."""
     import tempfile
+    from pathlib import Path
 
     name = f"hiermap-traceback-{time.strftime('%Y%m%dT%H%M%S')}-{os.getpid()}.txt"
     for folder in (beside or Path(), Path(tempfile.gettempdir())):
