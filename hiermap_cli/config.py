@@ -145,6 +145,8 @@ class RelocationConfig(Section):
     second: Positive = Field(0.85, le=1, description="the second best, of the best")
     distinct: Positive = Field(0.3, description="metres between different places")
     distinct_angle: Positive = Field(0.15, description="radians between different places")
+    slip: Positive = Field(0.15, description="metres, of a step that odometry did not see")
+    slip_angle: Positive = Field(0.2, description="radians, of a step that odometry did not see")
     sigma: Positive = Field(0.1, description="metres, of a pose found so, before its update")
     sigma_angle: Positive = Field(0.05, description="radians, of a pose found so")
 
@@ -193,6 +195,8 @@ class LandmarkConfig(Section):
     )
     jamb_tilt: Positive = Field(0.4, description="radians from the jamb line to a wall along it")
     passage_max_width: Positive = Field(2.2, description="metres, of a passage that was crossed")
+    passage_sigma: Positive = Field(0.1, description="metres; a door known by the way through it")
+    passage_sigma_theta: Positive = Field(0.2, description="radians, likewise")
     corridor_min_width: Positive = Field(0.8, description="metres between parallel walls")
     corridor_max_width: Positive = Field(4.0, description="metres between parallel walls")
     corridor_min_length: Positive = Field(3.0, description="metres on which both walls were seen")

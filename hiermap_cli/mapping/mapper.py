@@ -17,7 +17,7 @@ from hiermap_cli.mapping.area_filter import Step, forget_unseen, observe
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap
 from hiermap_cli.mapping.crossing import Crossings, Passing
 from hiermap_cli.mapping.model import Event
-from hiermap_cli.mapping.relocation import relocate, robot_found
+from hiermap_cli.mapping.relocation import relocate, robot_found, widened
 from hiermap_cli.mapping.trail import Trail
 from hiermap_cli.perception.segmentation import segment_block
 from hiermap_cli.perception.sight import sights
@@ -156,14 +156,7 @@ class Mapper:
         view = with_unevenness(view, self.config.filter, self.noise.walls)
         step: Step = observe(self.area, view, self.key, self.config)
         if suspect or self._poor(view, step):
-            found = relocate(self.area, view, self.config.relocation, suspect=suspect)
-            if found is not None:
-                V = robot_found(self.area.V, found.pose, self.config.relocation)
-                again = observe(replace(self.area, V=V), view, self.key, self.config)
-                if _matched_length(view, again) > _matched_length(view, step):
-                    moved = se2.between(step.area.V.robot, again.area.V.robot)
-                    step = again
-                    self._event(stamp_ns, "relocated", area=self._name(), moved=moved.tolist())
+            step = self._found_again(stamp_ns, view, step, suspect=suspect)
         elif step.surprise is not None:
             self.noise = adapted(self.noise, step.surprise, self.noise_rate, self.config.noise)
         self._set(step.area)
@@ -181,6 +174,28 @@ class Mapper:
             area, forgotten = forget_unseen(self.area, self.key, self.config.forget)
             n.forgotten += forgotten
             self._set(area)
+
+    def _found_again(
+        self, stamp_ns: int, view: SegmentView, step: Step, *, suspect: bool
+    ) -> Step:
+        """The step taken from where the scan itself says the robot is, where that explains more
+        of the scan: a pose found among the walls, or else the prediction with room for error."""
+        c = self.config.relocation
+        V = self.area.V
+        found = relocate(self.area, view, c, suspect=suspect)
+        tried = [robot_found(V, found.pose, c)] if found is not None else []
+        tried.append(widened(V, c))
+        for hypothesis in tried:
+            area = replace(self.area, V=hypothesis)
+            again = observe(area, view, self.key, self.config)
+            matched = _matched_length(view, again)
+            if matched > max(
+                _matched_length(view, step), c.min_share * float(view.length.sum())
+            ):
+                moved = se2.between(step.area.V.robot, again.area.V.robot)
+                self._event(stamp_ns, "relocated", area=self._name(), moved=moved.tolist())
+                return again
+        return step
 
     def _poor(self, view: SegmentView, step: Step) -> bool:
         total = float(view.length.sum())

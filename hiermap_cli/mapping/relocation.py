@@ -123,6 +123,16 @@ def robot_found(V: StochasticMap, pose: Array, config: RelocationConfig) -> Stoc
     return replace(V, poses=poses, covariance=P)
 
 
+def widened(V: StochasticMap, config: RelocationConfig) -> StochasticMap:
+    """V with room for an error of the odometry's last step that its noise does not explain: a
+    slip along a corridor, where walls are all parallel and give no whole pose."""
+    spread = np.diag(np.square([config.slip, config.slip, config.slip_angle]))
+    Ad = V.error_D_tangent(V.robot)
+    P = V.covariance.copy()
+    P[:3, :3] += Ad @ spread @ Ad.T
+    return replace(V, covariance=P)
+
+
 def _hypotheses(
     lines: Lines, view: SegmentView, segments: Index, near: Array, distance: float, angle: float
 ) -> Array:
