@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -10,8 +10,21 @@ from hiermap_cli.errors import InputError
 from hiermap_cli.estimation import motion as odometry_model
 from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import WALL
-from hiermap_cli.mapping.landmarks import AreaLandmarks, area_landmarks
+from hiermap_cli.mapping.area_map import WALL, AreaMap
+from hiermap_cli.mapping.doors import (
+    between_faces,
+    door_drafts,
+    door_in_g,
+    door_sides,
+    passages,
+)
+from hiermap_cli.mapping.joining import JoinedArea, join
+from hiermap_cli.mapping.landmarks import (
+    Draft,
+    find_landmarks,
+    joint_covariance,
+    landmark_model,
+)
 from hiermap_cli.mapping.levels import Levels, compose_levels
 from hiermap_cli.mapping.metrics import metric
 from hiermap_cli.mapping.model import (
@@ -21,17 +34,46 @@ from hiermap_cli.mapping.model import (
     Estimate,
     Event,
     HierarchicalModel,
-    LandmarkModel,
     MapResult,
     Metric,
 )
+from hiermap_cli.mapping.walls import wall_lines
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
+    from hiermap_cli.config import LandmarkConfig
     from hiermap_cli.mapping.mapper import Mapper
+    from hiermap_cli.mapping.model import LandmarkModel
+    from hiermap_cli.mapping.portals import Portal
 
     Array = NDArray[np.float64]
+
+
+class FoundArea(NamedTuple):
+    """An area of the result with its landmarks.
+
+    doors: which draft is the landmark of a portal. covariance: joint, additive, of the robot and
+    the drafts. first: number of its first landmark. dropped: landmarks that were not kept.
+    """
+
+    area: JoinedArea
+    drafts: tuple[Draft, ...]
+    doors: dict[int, int]
+    covariance: Array
+    first: int
+    dropped: int
+
+    def id(self, draft: int) -> str:
+        """The id of a landmark."""
+        return f"L{self.first + draft}"
+
+    def block(self, draft: int) -> Array:
+        """Covariance (3, 3) of a landmark's pose in the area."""
+        at = 3 + 3 * draft
+        return self.covariance[at : at + 3, at : at + 3]
 
 
 def assemble(mapper: Mapper) -> MapResult:
@@ -44,65 +86,95 @@ def assemble(mapper: Mapper) -> MapResult:
         raise InputError("the log holds no scan to map; `hiermap inspect` shows what it holds")
     mapper.finish()
     levels = compose_levels(mapper)
-    doors = _doors(mapper, levels)
-    areas, landmarks = _areas(mapper, levels, doors)
+    parts = [(i,) for i in range(len(mapper.areas))]
+    found = _find(mapper, levels, parts)
+    doors = _doors(mapper.portals, levels, found)
+    areas = tuple(_area(mapper, levels, found, i, doors) for i in range(len(found)))
+    landmarks = tuple(model for i, one in enumerate(found) for model in _landmarks(one, i))
     return MapResult(
-        model=HierarchicalModel(_environment(levels, doors), areas, landmarks),
+        model=HierarchicalModel(_environment(levels, found, doors), areas, landmarks),
         trajectory=levels.trajectory,
         trajectory_filter=levels.trajectory,
-        events=_events(mapper, doors),
-        metrics=_metrics(mapper),
+        events=_events(mapper, parts, doors),
+        metrics=_metrics(mapper, found),
         timing={},
         dropped={},
     )
 
 
-def _areas(
-    mapper: Mapper, levels: Levels, doors: dict[int, DoorModel]
-) -> tuple[tuple[AreaModel, ...], tuple[LandmarkModel, ...]]:
-    areas: list[AreaModel] = []
-    landmarks: list[LandmarkModel] = []
-    entered: dict[int, str | None] = {}
-    for i, portal in enumerate(mapper.portals):
-        entered.setdefault(portal.b, doors[i].id if i in doors else None)
-    for i, V in enumerate(levels.maps):
-        id_ = f"A{i + 1}"
-        found: AreaLandmarks = area_landmarks(V, mapper.areas[i].features, id_, 1 + len(landmarks))
-        C = found.covariance
-        areas.append(
-            AreaModel(
-                id=id_,
-                kind="unknown",
-                entered_by=entered.get(i),
-                robot=Estimate(id_, V.robot, C[:3, :3]),
-                landmarks=tuple(
-                    (
-                        landmark.id,
-                        Estimate(id_, pose, C[3 * k + 3 : 3 * k + 6, 3 * k + 3 : 3 * k + 6]),
-                    )
-                    for k, (landmark, pose) in enumerate(
-                        zip(found.landmarks, found.poses, strict=True)
-                    )
-                ),
-                covariance=C,
-                extent=_hull(_seen_points(mapper, levels, i)),
-            )
-        )
-        landmarks.extend(found.landmarks)
-    return tuple(areas), tuple(landmarks)
+def _find(mapper: Mapper, levels: Levels, parts: Sequence[tuple[int, ...]]) -> list[FoundArea]:
+    """The areas of the result, each of one or several of the filter's, and their landmarks."""
+    maps = [
+        AreaMap(V, area.features, area.next_uid)
+        for V, area in zip(levels.maps, mapper.areas, strict=True)
+    ]
+    last_seen = {area: k for k, area in enumerate(mapper.trail.area)}
+    last_seen[mapper.current] = len(mapper.trail.area)
+    config: LandmarkConfig = mapper.config.landmarks
+    found: list[FoundArea] = []
+    first = 1
+    for members in parts:
+        last = max(members, key=lambda p: last_seen.get(p, -1))
+        area = join(maps, mapper.portals, members, last)
+        sides = door_sides(area, mapper.portals)
+        walls = wall_lines(area.map.V, area.map.features, config, passages(area, sides))
+        choice = find_landmarks(walls, config)
+        drafts, doors = door_drafts(area, sides, choice.kept, config)
+        C = joint_covariance(area.map.V, drafts)
+        found.append(FoundArea(area, tuple(drafts), doors, C, first, choice.dropped))
+        first += len(drafts)
+    return found
 
 
-def _seen_points(mapper: Mapper, levels: Levels, i: int) -> Array:
+def _landmarks(found: FoundArea, i: int) -> list[LandmarkModel]:
+    V = found.area.map.V
+    return [
+        landmark_model(V, draft, found.id(k), f"A{i + 1}") for k, draft in enumerate(found.drafts)
+    ]
+
+
+def _area(
+    mapper: Mapper,
+    levels: Levels,
+    found: Sequence[FoundArea],
+    i: int,
+    doors: dict[int, DoorModel],
+) -> AreaModel:
+    id_ = f"A{i + 1}"
+    one = found[i]
+    discovered = [
+        k
+        for k, portal in enumerate(mapper.portals)
+        if portal.b == one.area.parts[0] and portal.a not in one.area.parts
+    ]
+    entered = doors.get(discovered[0]) if discovered and i > 0 else None
+    return AreaModel(
+        id=id_,
+        kind="unknown",
+        entered_by=None if entered is None else entered.id,
+        robot=Estimate(id_, one.area.map.V.robot, one.covariance[:3, :3]),
+        landmarks=tuple(
+            (one.id(k), Estimate(id_, draft.pose, one.block(k)))
+            for k, draft in enumerate(one.drafts)
+        ),
+        covariance=one.covariance,
+        extent=_hull(_seen_points(mapper, levels, one.area)),
+    )
+
+
+def _seen_points(mapper: Mapper, levels: Levels, area: JoinedArea) -> Array:
     """Where the robot was in the area and where its walls end, (m, 2)."""
     trail = mapper.trail
-    here = np.flatnonzero(np.array(trail.area) == i)
-    poses = np.array([trail.poses[k] for k in here]).reshape(-1, 3)
-    points = [se2.between(levels.shifts[i], poses)[:, :2]]
-    f = mapper.areas[i].features
+    points = []
+    for part, R_0_p in zip(area.parts, area.R_0_p, strict=True):
+        here = np.flatnonzero(np.array(trail.area) == part)
+        poses = np.array([trail.poses[k] for k in here]).reshape(-1, 3)
+        points.append(se2.compose(R_0_p, se2.between(levels.shifts[part], poses))[:, :2])
+    f = area.map.features
     walls = np.flatnonzero(f.kind == WALL)
     for along in (f.lo[walls], f.hi[walls]):
         offset = np.column_stack((along, 0 * along, 0 * along))
-        points.append(se2.compose(levels.maps[i].poses[1 + walls], offset)[:, :2])
+        points.append(se2.compose(area.map.V.poses[1 + walls], offset)[:, :2])
     return np.concatenate(points)
 
 
@@ -120,70 +192,89 @@ def _hull(points: Array) -> Array:
     hull = np.array(halves[0] + halves[1]).reshape(-1, 2)
     if len(hull) >= 3:
         return hull
-    return points.mean(axis=0) + 0.1 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    square: Array = points.mean(axis=0) + 0.1 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    return square
 
 
 def _turn(a: Array, b: Array, c: Array) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
-def _doors(mapper: Mapper, levels: Levels) -> dict[int, DoorModel]:
+def _doors(
+    portals: Sequence[Portal], levels: Levels, found: Sequence[FoundArea]
+) -> dict[int, DoorModel]:
     """The portals that are doors, by their index: where an area merely grew too large is none."""
+    number = {p: i for i, one in enumerate(found) for p in one.area.parts}
+    poses, C = _additive(levels, found)
     doors: dict[int, DoorModel] = {}
-    for i, portal in enumerate(mapper.portals):
-        if portal.wall <= 0.0:
+    for k, portal in enumerate(portals):
+        a, b = number[portal.a], number[portal.b]
+        if portal.kind != "door" or a == b:
             continue
-        V, f = levels.maps[portal.a], mapper.areas[portal.a].features
-        k = 1 + int(np.flatnonzero(f.uid == portal.anchor_a)[0])
-        anchor = se2.compose(levels.frames[portal.a], V.poses[k])
-        pose = se2.compose(anchor, portal.R_anchor_d)
-        T = V.invariant_D_error(V.poses[k])
-        Ad = se2.adjoint(levels.frames[portal.a])
-        where = V.columns(k)
-        C = levels.frame_covariance(portal.a)
-        C = C + Ad @ T @ V.covariance[where, where] @ T.T @ Ad.T
-        J = se2.additive_D_invariant(pose)
-        doors[i] = DoorModel(
+        faces = []
+        for i in (a, b):
+            draft = found[i].doors[k]
+            at = slice(3 + 3 * i, 6 + 3 * i)
+            faces.append(
+                door_in_g(poses[1 + i], C[at, at], found[i].drafts[draft], found[i].block(draft))
+            )
+        door = between_faces(*faces)
+        doors[k] = DoorModel(
             id=f"D{len(doors) + 1}",
-            areas=(f"A{portal.a + 1}", f"A{portal.b + 1}"),
-            landmarks=(),
-            width=portal.width,
-            estimate=Estimate("g", pose, symmetrise(J @ C @ J.T)),
+            areas=(f"A{a + 1}", f"A{b + 1}"),
+            landmarks=(found[a].id(found[a].doors[k]), found[b].id(found[b].doors[k])),
+            width=door.width,
+            estimate=Estimate("g", door.pose, door.covariance),
             crossings=portal.crossings,
         )
     return doors
 
 
-def _environment(levels: Levels, doors: dict[int, DoorModel]) -> EnvironmentModel:
-    poses = np.vstack((levels.robot, levels.frames))
-    J = np.zeros_like(levels.covariance)
+def _additive(levels: Levels, found: Sequence[FoundArea]) -> tuple[Array, Array]:
+    """Robot and areas' frames in g, (1 + k, 3), and their joint additive covariance."""
+    roots = [one.area.parts[0] for one in found]
+    poses = np.vstack((levels.robot, levels.frames[roots]))
+    which = np.concatenate(([0], 1 + np.array(roots, dtype=np.int64)))
+    columns = (3 * which[:, None] + np.arange(3)).ravel()
+    J = np.zeros((len(columns), len(columns)))
     for i, block in enumerate(se2.additive_D_invariant(poses)):
         J[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = block
-    C = symmetrise(J @ levels.covariance @ J.T)
+    return poses, symmetrise(J @ levels.covariance[np.ix_(columns, columns)] @ J.T)
+
+
+def _environment(
+    levels: Levels, found: Sequence[FoundArea], doors: dict[int, DoorModel]
+) -> EnvironmentModel:
+    poses, C = _additive(levels, found)
     return EnvironmentModel(
-        robot=Estimate("g", levels.robot, C[:3, :3]),
+        robot=Estimate("g", poses[0], C[:3, :3]),
         areas=tuple(
             (f"A{i + 1}", Estimate("g", F, C[3 * i + 3 : 3 * i + 6, 3 * i + 3 : 3 * i + 6]))
-            for i, F in enumerate(levels.frames)
+            for i, F in enumerate(poses[1:])
         ),
         covariance=C,
         doors=tuple(doors.values()),
     )
 
 
-def _events(mapper: Mapper, doors: dict[int, DoorModel]) -> tuple[Event, ...]:
-    """The mapper's events, with the doors' final ids."""
-    names = {f"D{i + 1}": door.id for i, door in doors.items()}
+def _events(
+    mapper: Mapper, parts: Sequence[tuple[int, ...]], doors: dict[int, DoorModel]
+) -> tuple[Event, ...]:
+    """The mapper's events, with the final ids of areas and doors."""
+    door_ids = {f"D{k + 1}": door.id for k, door in doors.items()}
+    area_ids = {f"A{p + 1}": f"A{i + 1}" for i, members in enumerate(parts) for p in members}
     events = []
     for event in mapper.events:
         details = dict(event.details)
         if "door" in details:
-            details["door"] = names.get(details["door"])
+            details["door"] = door_ids.get(details["door"])
+        if "area" in details:
+            details["area"] = area_ids[details["area"]]
         events.append(Event(event.stamp_ns, event.kind, details))
     return tuple(events)
 
 
-def _metrics(mapper: Mapper) -> tuple[Metric, ...]:
+def _metrics(mapper: Mapper, found: Sequence[FoundArea]) -> tuple[Metric, ...]:
     """What only the estimator knows of the run."""
     n, scans = mapper.counts, len(mapper.trail.stamps_ns)
     entries = sum(portal.crossings for portal in mapper.portals)
@@ -194,10 +285,13 @@ def _metrics(mapper: Mapper) -> tuple[Metric, ...]:
         ("odometry_curvature", parameters[odometry_model.CURVATURE]),
         ("laser_x", parameters[odometry_model.LASER_X]),
     )
+    dropped = n.forgotten + sum(one.dropped for one in found)
+    kept = sum(len(one.drafts) for one in found)
     metrics = [
         metric("scans_processed", n.keys, scans),
         metric("matches", n.matched, n.matched),
         metric("matching_failures", n.failed, n.keys),
+        metric("landmarks_forgotten", dropped, kept + dropped),
         metric("areas_reentered", entries - len(mapper.portals), entries + 1),
         *(metric(name, value, n.keys) for name, value in calibration),
     ]

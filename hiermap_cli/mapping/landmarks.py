@@ -1,4 +1,9 @@
-"""From an area's walls and ends to its landmarks, each with its own model (section 4)."""
+"""From an area's walls and ends to its landmarks, each with its own model (section 4).
+
+The area's filter corrects walls and ends; landmarks are groups of them. Their poses in the area
+and their shapes in their own frames are functions of the state, so that their errors follow from
+C(V) by the Jacobians, and two landmarks that share a wall are correlated through it, exactly.
+"""
 
 from __future__ import annotations
 
@@ -8,61 +13,155 @@ import numpy as np
 
 from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import WALL
-from hiermap_cli.mapping.model import Estimate, LandmarkModel, SegmentFeature
+from hiermap_cli.mapping.model import Estimate, LandmarkModel, PointFeature, SegmentFeature
+from hiermap_cli.perception.kinds import rule_sets
+from hiermap_cli.perception.kinds.rules import (
+    PointShape,
+    SegmentShape,
+    find_groups,
+    free_covariance,
+)
+from hiermap_cli.perception.utility import sightings, worth
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
+    from hiermap_cli.config import LandmarkConfig
     from hiermap_cli.estimation.stochastic_map import StochasticMap
-    from hiermap_cli.mapping.area_map import Features
+    from hiermap_cli.mapping.walls import WallLines
+    from hiermap_cli.perception.kinds.rules import RuleSet
 
     Array = NDArray[np.float64]
 
 
-class AreaLandmarks(NamedTuple):
-    """An area's landmarks, their poses (k, 3) in it, and the joint C(V) of (robot, poses)."""
+class Draft(NamedTuple):
+    """A landmark before it is written down.
 
-    landmarks: tuple[LandmarkModel, ...]
-    poses: Array
-    covariance: Array
+    pose: (3,) R_a_l. pose_by_state: (3, N), additive by the error of V. pose_noise: (3, 3) what
+    the state does not hold of the pose's error, in the area's axes; shape_noise: (2 f, 2 f).
+    lines: the lines behind it.
+    """
+
+    kind: str
+    binds: tuple[str, ...]
+    pose: Array
+    pose_by_state: Array
+    pose_noise: Array
+    shape: tuple[SegmentShape | PointShape, ...]
+    shape_by_state: Array
+    shape_noise: Array
+    observations: int
+    utility: float
+    lines: tuple[int, ...]
 
 
-def area_landmarks(V: StochasticMap, features: Features, area: str, first: int) -> AreaLandmarks:
-    """The landmarks of an area; ids count from `L<first>`."""
-    walls = np.flatnonzero((features.kind == WALL) & (features.seen > 1))
-    P = V.additive_covariance()
-    which = np.concatenate(([0], 1 + walls))
-    columns = (3 * which[:, None] + np.arange(3)).ravel()
-    landmarks = []
-    for i, w in enumerate(walls.tolist()):
-        id_ = f"L{first + i}"
-        X = V.poses[1 + w]
-        J = np.zeros((3, 6))
-        J_inverse = se2.compose_D_first(se2.invert(X), V.robot)
-        J[:, 3:] = J_inverse @ se2.invert_D_pose(X)
-        J[:, :3] = se2.compose_D_second(se2.invert(X), V.robot)
-        c = np.r_[0:3, 3 * (1 + w) : 3 * (1 + w) + 3]
-        C = symmetrise(J @ P[np.ix_(c, c)] @ J.T)
-        joint = np.zeros((5, 5))
-        joint[:3, :3] = C
-        lo, hi = float(features.lo[w]), float(features.hi[w])
-        segment = SegmentFeature(
-            0.0, 0.0, 1, np.zeros((2, 2)), np.array([[lo, 0.0], [hi, 0.0]]), (True, True)
-        )
-        landmarks.append(
-            LandmarkModel(
-                id=id_,
-                area=area,
-                kind="wall",
-                binds=("y", "theta"),
-                robot=Estimate(id_, se2.between(X, V.robot), C),
-                features=(segment,),
-                covariance=joint,
-                observations=int(features.seen[w]),
-                utility=1.0,
+class Choice(NamedTuple):
+    """The landmarks kept, and how many were not: `dropped` groups, `forgotten` lines."""
+
+    kept: tuple[Draft, ...]
+    dropped: int
+    forgotten: int
+
+
+def find_landmarks(
+    walls: WallLines, config: LandmarkConfig, rules: Sequence[RuleSet] | None = None
+) -> Choice:
+    """The landmarks of an area that are worth keeping.
+
+    rules: other rule sets than the table's.
+    """
+    lines = walls.lines
+    drafts = []
+    for rule, group in find_groups(lines, rule_sets() if rules is None else rules, config):
+        found = rule.extract(lines, group)
+        by_state = walls.by_state[lines.columns(group.lines)]
+        seen = sightings(lines, group)
+        drafts.append(
+            Draft(
+                kind=group.kind,
+                binds=found.binds,
+                pose=found.pose,
+                pose_by_state=found.pose_D_lines @ by_state,
+                pose_noise=free_covariance(found),
+                shape=found.shape,
+                shape_by_state=found.shape_D_lines @ by_state,
+                shape_noise=np.zeros((2 * len(found.shape), 2 * len(found.shape))),
+                observations=seen,
+                utility=seen * worth(lines, group, found, config),
+                lines=group.lines,
             )
         )
-    return AreaLandmarks(
-        tuple(landmarks), V.poses[1 + walls], symmetrise(P[np.ix_(columns, columns)])
+    kept = choose(drafts, config)
+    used = {line for draft in kept for line in draft.lines}
+    return Choice(tuple(kept), len(drafts) - len(kept), len(lines) - len(used))
+
+
+def choose(drafts: Sequence[Draft], config: LandmarkConfig) -> list[Draft]:
+    """Those of enough utility, and of several in one place the best."""
+    order = sorted(range(len(drafts)), key=lambda i: (-drafts[i].utility, i))
+    kept: list[int] = []
+    for i in order:
+        one = drafts[i]
+        if one.utility < config.min_utility or one.observations < config.least_seen:
+            continue
+        if not any(_same(one, drafts[j], config) for j in kept):
+            kept.append(i)
+    return [drafts[i] for i in sorted(kept)]
+
+
+def _same(one: Draft, other: Draft, config: LandmarkConfig) -> bool:
+    """Whether two drafts are one landmark seen twice."""
+    if one.kind != other.kind or not {"x", "y"} <= {*one.binds} & {*other.binds}:
+        return False
+    apart = float(np.hypot(*(one.pose[:2] - other.pose[:2])))
+    turned = abs(float(se2.wrap(one.pose[2] - other.pose[2])))
+    return apart < config.same and turned < config.min_angle
+
+
+def joint_covariance(V: StochasticMap, drafts: Sequence[Draft]) -> Array:
+    """C(V) of (robot, landmark poses) in the area, additive, (3 + 3 k, 3 + 3 k)."""
+    M = np.zeros((3 + 3 * len(drafts), len(V.covariance)))
+    M[:3, :3] = V.additive_D_error(V.robot)
+    for i, draft in enumerate(drafts):
+        M[3 + 3 * i : 6 + 3 * i] = draft.pose_by_state
+    C = M @ V.covariance @ M.T
+    for i, draft in enumerate(drafts):
+        C[3 + 3 * i : 6 + 3 * i, 3 + 3 * i : 6 + 3 * i] += draft.pose_noise
+    return symmetrise(C)
+
+
+def landmark_model(V: StochasticMap, draft: Draft, id_: str, area: str) -> LandmarkModel:
+    """A landmark's own model: V = (robot in its frame, features), with C(V)."""
+    R_l_a = se2.invert(draft.pose)
+    D_pose = se2.compose_D_first(R_l_a, V.robot) @ se2.invert_D_pose(draft.pose)
+    D_robot = se2.compose_D_second(R_l_a, V.robot)
+    k = len(draft.shape)
+    M = np.zeros((3 + 2 * k, len(V.covariance)))
+    M[:3] = D_pose @ draft.pose_by_state
+    M[:3, :3] += D_robot @ V.additive_D_error(V.robot)
+    M[3:] = draft.shape_by_state
+    C = M @ V.covariance @ M.T
+    C[:3, :3] += D_pose @ draft.pose_noise @ D_pose.T
+    C[3:, 3:] += draft.shape_noise
+    C = symmetrise(C)
+    features: list[SegmentFeature | PointFeature] = []
+    for i, shape in enumerate(draft.shape):
+        block = C[3 + 2 * i : 5 + 2 * i, 3 + 2 * i : 5 + 2 * i]
+        if isinstance(shape, SegmentShape):
+            p, q = (float(value) for value in shape.pq)
+            features.append(SegmentFeature(p, q, shape.line_type, block, shape.ends, shape.endless))
+        else:
+            features.append(PointFeature(shape.mean, block))
+    return LandmarkModel(
+        id=id_,
+        area=area,
+        kind=draft.kind,
+        binds=draft.binds,
+        robot=Estimate(id_, se2.compose(R_l_a, V.robot), C[:3, :3]),
+        features=tuple(features),
+        covariance=C,
+        observations=draft.observations,
+        utility=draft.utility,
     )

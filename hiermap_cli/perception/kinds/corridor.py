@@ -1,0 +1,121 @@
+"""Corridors: two parallel walls that face each other.
+
+Frame: X along the middle line, in the direction of the first wall (free side on its left; the
+longer wall at first sight), heading midway between the two; the origin is midway between the
+walls, opposite the middle of what both show. It binds y and theta; the position along the
+corridor measures nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiermap_cli.geometry.se2 import wrap
+from hiermap_cli.perception.kinds.lineset import along_of, offset_of, point_on
+from hiermap_cli.perception.kinds.rules import POSE, Extraction, Group, RuleSet, segment_shape
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import LandmarkConfig
+    from hiermap_cli.perception.kinds.lineset import LineSet
+
+    Array = NDArray[np.float64]
+
+FIRST, SECOND = 0, 1  # choices: the wall whose direction X takes
+
+
+class Corridors:
+    """Pairs of parallel walls."""
+
+    kinds: tuple[str, ...] = ("corridor",)
+    rank: int = 30
+    choices: tuple[int, ...] = (FIRST, SECOND)
+
+    def find(self, lines: LineSet, taken: NDArray[np.bool_], config: LandmarkConfig) -> list[Group]:  # noqa: ARG002 - corridors share their walls
+        """Facing walls not farther apart than `corridor_max_width`, with enough of both.
+
+        Pieces of the same two walls are one corridor: the longest stretch is taken.
+        """
+        against = np.abs(wrap(lines.theta[None, :] - lines.theta[:, None] - np.pi))
+        i, j = np.nonzero(np.triu(against < config.parallel, 1))
+        found: list[tuple[float, int, int]] = []
+        for a, b in zip(i.tolist(), j.tolist(), strict=True):
+            width = -float(offset_of(lines.hesse[a], lines.ends[b].mean(axis=0)))
+            overlap = _stretch(lines, a, b)
+            if not config.corridor_min_width < width < config.corridor_max_width:
+                continue
+            length = overlap[1] - overlap[0]
+            if length >= max(config.corridor_min_length, config.corridor_ratio * width):
+                found.append((length, a, b))
+        groups: list[Group] = []
+        poses: list[Array] = []
+        for _, a, b in sorted(found, key=lambda one: (-one[0], one[1], one[2])):
+            first, second = (a, b) if lines.length[a] >= lines.length[b] else (b, a)
+            group = Group(self.kinds[0], (first, second), FIRST)
+            pose = self.extract(lines, group).pose
+            if not any(_same(pose, other, config) for other in poses):
+                groups.append(group)
+                poses.append(pose)
+        return groups
+
+    def extract(self, lines: LineSet, group: Group) -> Extraction:
+        """The middle line, and both walls in its frame."""
+        a, b = group.lines
+        lo, hi = _stretch(lines, a, b)
+        middle = point_on(lines.hesse[a], np.asarray(0.5 * (lo + hi)))
+        middle = 0.5 * (middle + _foot(lines.hesse[b], middle))
+        both = lines.hesse[[a, b]]
+        pose = corridor_pose(both, middle, group.choice)
+        D = np.zeros((3, 8))
+        D[:, [0, 1, 4, 5]] = corridor_pose_D_lines(both, middle)
+        first, D_first = segment_shape(pose, D, lines, a, 0)
+        second, D_second = segment_shape(pose, D, lines, b, 1)
+        free = np.array([max(0.5 * (hi - lo), 0.5), 0.0, 0.0])
+        shape_D = np.concatenate((D_first, D_second))
+        return Extraction(POSE[1:], pose, D, (first, second), shape_D, free)
+
+
+def corridor_pose(hesse: Array, near: Array, choice: int) -> Array:
+    """R_k_l (3,) of two facing lines (2, 2), its origin beside the fixed point `near` (2,)."""
+    heading = hesse[0, 0] + 0.5 * float(wrap(hesse[1, 0] + np.pi - hesse[0, 0])) + 0.5 * np.pi
+    origin = 0.5 * (_foot(hesse[0], near) + _foot(hesse[1], near))
+    return np.append(origin, wrap(np.asarray(heading + (np.pi if choice == SECOND else 0.0))))
+
+
+def corridor_pose_D_lines(hesse: Array, near: Array) -> Array:
+    """d corridor_pose / d (alpha1, d1, alpha2, d2), (3, 4)."""
+    J = np.zeros((3, 4))
+    for k in range(2):
+        c, s = np.cos(hesse[k, 0]), np.sin(hesse[k, 0])
+        n, t = np.array([c, s]), np.array([-s, c])
+        J[:2, 2 * k] = 0.5 * ((hesse[k, 1] - n @ near) * t - (t @ near) * n)
+        J[:2, 2 * k + 1] = 0.5 * n
+        J[2, 2 * k] = 0.5
+    return J
+
+
+def _foot(hesse: Array, point: Array) -> Array:
+    """The point of a line that is nearest to `point`, (2,)."""
+    normal = np.array([np.cos(hesse[0]), np.sin(hesse[0])])
+    foot: Array = point - offset_of(hesse, point) * normal
+    return foot
+
+
+def _stretch(lines: LineSet, a: int, b: int) -> tuple[float, float]:
+    """Where, along line a, both walls were seen."""
+    lo, hi = np.sort(along_of(lines.hesse[a], lines.ends[b]))
+    return max(float(lo), float(lines.along[a, 0])), min(float(hi), float(lines.along[a, 1]))
+
+
+def _same(pose: Array, other: Array, config: LandmarkConfig) -> bool:
+    """Whether two middle lines are one."""
+    dx, dy = pose[:2] - other[:2]
+    across = abs(-np.sin(other[2]) * dx + np.cos(other[2]) * dy)
+    turned = abs(np.sin(pose[2] - other[2]))
+    return bool(across < config.same and turned < config.parallel)
+
+
+RULES: RuleSet = Corridors()
