@@ -128,11 +128,22 @@ def test_a_parent_that_is_a_file(tmp_path):
         check_output(tmp_path / "file" / "out", force=False)
 
 
+def test_asking_makes_nothing(tmp_path):
+    check_output(tmp_path / "a" / "b" / "out", force=False)
+    assert names(tmp_path) == []
+
+
+def test_a_parent_that_takes_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_: False)  # as on a disk that is read-only
+    with pytest.raises(UsageError, match="no new files"):
+        check_output(tmp_path / "a" / "out", force=False)
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="root writes anywhere")
 def test_a_parent_without_permission(tmp_path):
     tmp_path.chmod(0o500)
     try:
-        with pytest.raises(UsageError, match="Permission"):
+        with pytest.raises(UsageError, match="no new files"):
             check_output(tmp_path / "out", force=False)
     finally:
         tmp_path.chmod(0o700)

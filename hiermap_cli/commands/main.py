@@ -6,6 +6,7 @@ import importlib
 import os
 import signal
 import sys
+import warnings
 from typing import Any
 
 import click
@@ -71,6 +72,9 @@ def main() -> None:
     # two threads are thirty times slower than one.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
+    # Warnings of Python are for developers: the tests turn them into errors.
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
     # What stops a batch system's job cleans up as Ctrl-C does.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     status = _run(sys.argv[1:])

@@ -48,11 +48,18 @@ def check_output(
         if not folder.is_dir():
             raise UsageError(f"{folder}: is a file, not a folder; choose another output folder")
         _check_replaceable(folder, marks, inputs)
-    try:
-        probe = _new_folder(folder)
-        probe.rmdir()
-    except OSError as error:
-        raise output_error(folder, error) from None
+    _check_writable(folder)
+
+
+def _check_writable(folder: Path) -> None:
+    """Whether the nearest folder above that exists takes new names; nothing is made."""
+    above = next(parent for parent in folder.parents if os.path.lexists(parent))
+    if not above.is_dir():
+        raise UsageError(f"{folder}: cannot be written ({above} is a file)")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise UsageError(
+            f"{folder}: cannot be written ({above} takes no new files); choose another -o"
+        )
 
 
 def _check_replaceable(folder: Path, marks: Sequence[str], inputs: Sequence[Path]) -> None:
