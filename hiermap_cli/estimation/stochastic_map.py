@@ -353,3 +353,22 @@ def clone_robot(V: StochasticMap) -> StochasticMap:
     A = np.zeros((3, len(V.covariance)))
     A[:, :3] = V.invariant_D_error(V.robot)
     return augment(V, V.robot[None], A, np.zeros((1, 3, 3)))
+
+
+def seen_from_robot(V: StochasticMap, keep: Index) -> StochasticMap:
+    """A map in the robot's own frame: the robot certain at the origin, the parameters, and the
+    objects of the given pose indices with the errors of their poses relative to the robot.
+
+    `X' = X_r^-1 X_l`, so `delta' = Ad(X_r^-1) (delta_l - delta_r)`.
+    """
+    m, k, N = len(V.parameters), len(keep), len(V.covariance)
+    poses = np.concatenate((np.zeros((1, 3)), se2.between(V.robot, V.poses[keep])))
+    Ad = se2.adjoint(se2.invert(V.robot))
+    T = np.zeros((3 + m + 3 * k, N))
+    T[3 : 3 + m, 3 : 3 + m] = np.eye(m)
+    for i, pose in enumerate(keep.tolist()):
+        rows = slice(3 + m + 3 * i, 6 + m + 3 * i)
+        here = Ad if V.coordinates == "invariant" else se2.additive_D_invariant(poses[1 + i]) @ Ad
+        T[rows, V.columns(pose)] = here @ V.invariant_D_error(V.poses[pose])
+        T[rows, :3] = -here @ V.invariant_D_error(V.robot)
+    return replace(V, poses=poses, covariance=symmetrise(T @ V.covariance @ T.T))

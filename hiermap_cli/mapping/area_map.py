@@ -23,6 +23,7 @@ from hiermap_cli.estimation.stochastic_map import (
     augment,
     add_objects,
     remove_objects,
+    seen_from_robot,
 )
 from hiermap_cli.geometry import se2
 
@@ -283,3 +284,18 @@ def forget(area: AreaMap, drop: Array) -> AreaMap:
 
 def joined(old: Features, new: Features) -> Features:
     return Features(*(np.concatenate(pair) for pair in zip(old, new, strict=True)))
+
+
+def area_from_here(area: AreaMap, key: int) -> AreaMap:
+    """A new area about the robot, certain in its own frame, with the walls and ends that it saw
+    in key scan `key` as the old area knows them relative to the robot.
+
+    Without them a step of odometry between the last scan of one area and the first of the next
+    would be believed unchecked. What their errors have in common with the old area's anchor is
+    neglected: it is the noise of a few scans against the drift of all the way there.
+    """
+    f = area.features
+    keep = np.flatnonzero((f.last == key) & (f.kind != ANCHOR))
+    keep = keep[(f.kind[keep] == WALL) | np.isin(f.wall[keep], f.uid[keep])]
+    kept = Features(*(column[keep] for column in f))
+    return AreaMap(seen_from_robot(area.V, keep + 1), kept, area.next_uid)

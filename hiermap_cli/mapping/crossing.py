@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.stochastic_map import initial_map, place_robot, relative_covariance
+from hiermap_cli.estimation.stochastic_map import place_robot, relative_covariance
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import EMPTY, AreaMap
+from hiermap_cli.mapping.area_map import area_from_here
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.passages import Passage, PassageDetector, Trace
 from hiermap_cli.mapping.portals import KnownDoors, Portal, add_anchor, anchor_index
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import Config
+    from hiermap_cli.mapping.area_map import AreaMap
     from hiermap_cli.mapping.portals import PortalKind
     from hiermap_cli.perception.sight import Sight
     from hiermap_cli.perception.views import SegmentView
@@ -88,12 +89,7 @@ class Crossings:
         left, anchor_a = add_anchor(self.area, now.key)
         self.areas[a] = left
         V = left.V
-        m = len(V.parameters)
-        C_parameters = V.covariance[3 : 3 + m, 3 : 3 + m]
-        certain = initial_map(
-            np.zeros(3), np.zeros((3, 3)), V.parameters, C_parameters, V.coordinates
-        )
-        new, anchor_b = add_anchor(AreaMap(certain, EMPTY), now.key)
+        new, anchor_b = add_anchor(area_from_here(self.area, now.key), now.key)
         self.areas.append(new)
         b = len(self.areas) - 1
         self.portals.append(

@@ -100,7 +100,7 @@ class Mapper:
         self._odometry = odometry
         self._observe(stamp_ns, view, suspect=suspect)
         self.trail.key(stamp_ns, self.current, self.area.V, motion)
-        area = self.crossings.step(Passing(stamp_ns, self.key, distance, sight, view))
+        area = self.crossings.step(Passing(stamp_ns, self.key - 1, distance, sight, view))
         if area != self.current:
             self.current = area
             self.trail.enter(area, self.area.V)
