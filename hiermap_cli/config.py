@@ -130,7 +130,7 @@ class RelocationConfig(Section):
 
     max_speed: Positive = Field(2.0, description="m/s; faster odometry has failed")
     max_turn_rate: Positive = Field(2.2, description="rad/s; faster odometry has failed")
-    poor_match: NonNegative = Field(0.25, le=1, description="share of the segments' length")
+    poor_match: NonNegative = Field(0.45, le=1, description="share of the segments' length")
     max_distance: Positive = Field(1.5, description="metres searched about the prediction")
     max_turn: Positive = Field(1.7, description="radians searched about the prediction")
     window_sigmas: Positive = Field(4.0, description="searched where odometry is not suspect")
@@ -140,13 +140,15 @@ class RelocationConfig(Section):
     min_length: Positive = Field(0.3, description="metres; segments that hypotheses are made of")
     max_angle: Positive = Field(0.07, description="radians between a segment and its wall")
     max_offset: Positive = Field(0.12, description="metres between a segment and its wall")
-    min_share: Positive = Field(0.5, le=1, description="share of the segments' length explained")
+    min_share: Positive = Field(0.4, le=1, description="share of the segments' length explained")
+    gain: NonNegative = Field(0.15, le=1, description="share matched more than before")
     min_explained: Positive = Field(2.0, description="metres of segments explained")
     second: Positive = Field(0.85, le=1, description="the second best, of the best")
     distinct: Positive = Field(0.3, description="metres between different places")
     distinct_angle: Positive = Field(0.15, description="radians between different places")
     slip: Positive = Field(0.15, description="metres, of a step that odometry did not see")
-    slip_angle: Positive = Field(0.2, description="radians, of a step that odometry did not see")
+    slip_max_angle: Positive = Field(0.5, description="radians, the coarse gate after a slip")
+    slip_angle: Positive = Field(0.25, description="radians, of a step that odometry did not see")
     sigma: Positive = Field(0.1, description="metres, of a pose found so, before its update")
     sigma_angle: Positive = Field(0.05, description="radians, of a pose found so")
 
@@ -188,7 +190,7 @@ class LandmarkConfig(Section):
     door_min_width: Positive = Field(0.6, description="metres between jambs")
     door_max_width: Positive = Field(1.4, description="metres between jambs; wider is no door")
     door_step: Positive = Field(0.2, description="metres from one jamb's wall line to the other's")
-    recess: Positive = Field(0.8, description="metres; what closes a gap nearer makes it no door")
+    recess: Positive = Field(1.2, description="metres; what closes a gap nearer makes it no door")
     jamb_radius: Positive = Field(
         0.4,
         description="metres from where the robot passed narrowly to a wall's end that is a jamb",

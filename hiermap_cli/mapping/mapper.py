@@ -68,8 +68,12 @@ class Mapper:
     noise: NoiseScale = NoiseScale()
     noise_rate: float = 0.0
     _odometry: Array | None = None
+    _wide: Config = field(init=False)
 
     def __post_init__(self) -> None:
+        c = self.config
+        wide = c.association.model_copy(update={"max_angle": c.relocation.slip_max_angle})
+        self._wide = c.model_copy(update={"association": wide})
         self.crossings = Crossings(self.config, self.areas, self.events)
 
     def take(self, block: ScanBlock) -> None:
@@ -187,11 +191,9 @@ class Mapper:
         tried.append(widened(V, c))
         for hypothesis in tried:
             area = replace(self.area, V=hypothesis)
-            again = observe(area, view, self.key, self.config)
-            matched = _matched_length(view, again)
-            if matched > max(
-                _matched_length(view, step), c.min_share * float(view.length.sum())
-            ):
+            again = observe(area, view, self.key, self._wide)
+            matched, total = _matched_length(view, again), float(view.length.sum())
+            if matched >= max(_matched_length(view, step) + c.gain * total, c.min_share * total):
                 moved = se2.between(step.area.V.robot, again.area.V.robot)
                 self._event(stamp_ns, "relocated", area=self._name(), moved=moved.tolist())
                 return again
