@@ -38,6 +38,10 @@ MAY_TOUCH_THE_DISK = {"logs", "documents", "config", "batch", "commands"}
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
+def at_root(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
 def name_of(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
@@ -90,7 +94,7 @@ def test_imports_go_down_only(path):
         assert other < own_rank, f"{own} imports {imported}, which stands above it"
 
 
-@pytest.mark.parametrize("path", MODULES + sorted((ROOT / "tests").rglob("*.py")), ids=str)
+@pytest.mark.parametrize("path", MODULES + sorted((ROOT / "tests").rglob("*.py")), ids=at_root)
 def test_no_file_is_too_long(path):
     assert len(path.read_text().splitlines()) <= 400
 
