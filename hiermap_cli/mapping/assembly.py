@@ -18,6 +18,7 @@ from hiermap_cli.mapping.doors import (
     door_sides,
     passages,
 )
+from hiermap_cli.mapping.duplicates import Placed, duplicates, place_draft
 from hiermap_cli.mapping.joining import JoinedArea, join
 from hiermap_cli.mapping.landmarks import (
     Draft,
@@ -111,8 +112,7 @@ def _find(mapper: Mapper, levels: Levels, parts: Sequence[tuple[int, ...]]) -> l
     last_seen = {area: k for k, area in enumerate(mapper.trail.area)}
     last_seen[mapper.current] = len(mapper.trail.area)
     config: LandmarkConfig = mapper.config.landmarks
-    found: list[FoundArea] = []
-    first = 1
+    every: list[tuple[JoinedArea, list[Draft], dict[int, int], int]] = []
     for members in parts:
         last = max(members, key=lambda p: last_seen.get(p, -1))
         area = join(maps, mapper.portals, members, last)
@@ -120,10 +120,41 @@ def _find(mapper: Mapper, levels: Levels, parts: Sequence[tuple[int, ...]]) -> l
         walls = wall_lines(area.map.V, area.map.features, config, passages(area, sides))
         choice = find_landmarks(walls, config)
         drafts, doors = door_drafts(area, sides, choice.kept, config)
-        C = joint_covariance(area.map.V, drafts)
-        found.append(FoundArea(area, tuple(drafts), doors, C, first, choice.dropped))
-        first += len(drafts)
+        every.append((area, drafts, doors, choice.dropped))
+    again = _again(levels, every, config)
+    found: list[FoundArea] = []
+    first = 1
+    for i, (area, drafts, doors, dropped) in enumerate(every):
+        kept = [k for k in range(len(drafts)) if (i, k) not in again]
+        left = tuple(drafts[k] for k in kept)
+        doors = {portal: kept.index(k) for portal, k in doors.items()}
+        C = joint_covariance(area.map.V, left)
+        dropped += len(drafts) - len(left)
+        found.append(FoundArea(area, left, doors, C, first, dropped))
+        first += len(left)
     return found
+
+
+def _again(
+    levels: Levels,
+    every: Sequence[tuple[JoinedArea, list[Draft], dict[int, int], int]],
+    config: LandmarkConfig,
+) -> set[tuple[int, int]]:
+    """Landmarks, as (area, draft), that another area has too, and has better."""
+    placed: list[Placed] = []
+    index: list[tuple[int, int]] = []
+    for i, (area, drafts, doors, _) in enumerate(every):
+        root = area.parts[0]
+        frame = levels.frames[root]
+        J = se2.additive_D_invariant(frame)
+        C_frame = J @ levels.frame_covariance(root) @ J.T
+        C = joint_covariance(area.map.V, drafts)
+        for k, draft in enumerate(drafts):
+            at = slice(3 + 3 * k, 6 + 3 * k)
+            fixed = k in doors.values()
+            placed.append(place_draft(i, draft, frame, C_frame, C[at, at], fixed=fixed))
+            index.append((i, k))
+    return {index[k] for k in duplicates(placed, config)}
 
 
 def _landmarks(found: FoundArea, i: int) -> list[LandmarkModel]:

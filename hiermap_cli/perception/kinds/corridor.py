@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+_STEP = 0.1  # metres
 FIRST, SECOND = 0, 1  # choices: the wall whose direction X takes
 
 
@@ -37,23 +38,25 @@ class Corridors:
     def find(self, lines: LineSet, taken: NDArray[np.bool_], config: LandmarkConfig) -> list[Group]:  # noqa: ARG002 - corridors share their walls
         """Facing walls not farther apart than `corridor_max_width`, with enough of both.
 
-        Pieces of the same two walls are one corridor: the longest stretch is taken.
+        Doors cut a corridor's walls into pieces: how far it goes is told by all pieces in line
+        with the two. Of several pairs on one middle line the longest is taken.
         """
         against = np.abs(wrap(lines.theta[None, :] - lines.theta[:, None] - np.pi))
         i, j = np.nonzero(np.triu(against < config.parallel, 1))
         found: list[tuple[float, int, int]] = []
         for a, b in zip(i.tolist(), j.tolist(), strict=True):
             width = -float(offset_of(lines.hesse[a], lines.ends[b].mean(axis=0)))
-            overlap = _stretch(lines, a, b)
             if not config.corridor_min_width < width < config.corridor_max_width:
                 continue
-            length = overlap[1] - overlap[0]
+            length = _facing(lines, a, b, config)
             if length >= max(config.corridor_min_length, config.corridor_ratio * width):
                 found.append((length, a, b))
         groups: list[Group] = []
         poses: list[Array] = []
-        for _, a, b in sorted(found, key=lambda one: (-one[0], one[1], one[2])):
-            first, second = (a, b) if lines.length[a] >= lines.length[b] else (b, a)
+        by_length = [(lines.length[a] * lines.length[b], length, a, b) for length, a, b in found]
+        for _, _, a, b in sorted(by_length, key=lambda one: (-one[0], -one[1], *one[2:])):
+            longer = lines.length[a] >= lines.length[b]
+            first, second = (a, b) if longer else (b, a)
             group = Group(self.kinds[0], (first, second), FIRST)
             pose = self.extract(lines, group).pose
             if not any(_same(pose, other, config) for other in poses):
@@ -105,9 +108,22 @@ def _foot(hesse: Array, point: Array) -> Array:
 
 
 def _stretch(lines: LineSet, a: int, b: int) -> tuple[float, float]:
-    """Where, along line a, both walls were seen."""
-    lo, hi = np.sort(along_of(lines.hesse[a], lines.ends[b]))
-    return max(float(lo), float(lines.along[a, 0])), min(float(hi), float(lines.along[a, 1]))
+    """Where, along line a, the two walls were seen, from first to last."""
+    ends = np.concatenate((along_of(lines.hesse[a], lines.ends[b]), lines.along[a]))
+    return float(ends.min()), float(ends.max())
+
+
+def _facing(lines: LineSet, a: int, b: int, config: LandmarkConfig) -> float:
+    """Metres along line a on which pieces in line with a face pieces in line with b."""
+    s = along_of(lines.hesse[a], lines.ends)
+    steps = np.arange(float(s.min()), float(s.max()), _STEP) + 0.5 * _STEP
+    both = np.ones(len(steps), dtype=bool)
+    for line in (a, b):
+        turned = np.abs(wrap(lines.theta - lines.theta[line]))
+        off = np.abs(offset_of(lines.hesse[line], lines.ends)).max(axis=1)
+        pieces = np.sort(s[(turned < config.parallel) & (off < config.same)], axis=1)
+        both &= ((pieces[:, :1] <= steps) & (steps <= pieces[:, 1:])).any(axis=0)
+    return float(both.sum()) * _STEP
 
 
 def _same(pose: Array, other: Array, config: LandmarkConfig) -> bool:

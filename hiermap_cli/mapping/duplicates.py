@@ -1,0 +1,132 @@
+"""Landmarks that two areas have: seen from one of them through a door, or in a place known twice.
+
+A landmark belongs to one area. Where two areas show the same one, the area that is the better
+judge of it keeps it: the one to whose robot it was worth more.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.geometry import points, se2
+from hiermap_cli.perception.kinds.rules import SegmentShape
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import LandmarkConfig
+    from hiermap_cli.mapping.landmarks import Draft
+
+    Array = NDArray[np.float64]
+
+_FARTHEST = 0.4  # metres between two sightings of one point, however uncertain their areas are
+_COVERED = 0.7  # of a wall's length that another area's landmarks have, to be the same
+
+
+class Placed(NamedTuple):
+    """A landmark in g.
+
+    area: the area that has it. pose: (3,). sigma: deviation of its position. material: (2,) unit
+    vector towards where most of its material is, zero where it has as much on all sides.
+    segments: (k, 2, 2). utility: what decides between two. fixed: it may not be dropped.
+    """
+
+    area: int
+    kind: str
+    binds: tuple[str, ...]
+    pose: Array
+    sigma: float
+    material: Array
+    segments: Array
+    utility: float
+    fixed: bool
+
+
+def place_draft(
+    area: int, draft: Draft, frame: Array, C_frame: Array, C_draft: Array, *, fixed: bool
+) -> Placed:
+    """A landmark in g. frame: (3,) R_g_a; the covariances (3, 3) are additive."""
+    pose = se2.compose(frame, draft.pose)
+    J1 = se2.compose_D_first(frame, draft.pose)[:2]
+    J2 = se2.compose_D_second(frame, draft.pose)[:2]
+    C = J1 @ C_frame @ J1.T + J2 @ C_draft @ J2.T
+    ends = np.array([s.ends for s in draft.shape if isinstance(s, SegmentShape)]).reshape(-1, 2, 2)
+    segments = points.h(pose, ends)
+    run = segments[:, 1] - segments[:, 0]
+    length = np.hypot(run[:, 0], run[:, 1])
+    right = np.column_stack((run[:, 1], -run[:, 0])) / np.maximum(length, 1e-9)[:, None]
+    material = right.sum(axis=0) if len(right) else se2.rotation(pose[2])[:, 1]
+    size = float(np.hypot(*material))
+    material = material / size if size > 0.5 else np.zeros(2)
+    sigma = float(np.sqrt(np.linalg.eigvalsh(C)[-1]))
+    return Placed(
+        area, draft.kind, draft.binds, pose, sigma, material, segments, draft.utility, fixed
+    )
+
+
+def duplicates(landmarks: Sequence[Placed], config: LandmarkConfig) -> set[int]:
+    """Indices of the landmarks that another area has too, and has better."""
+    order = sorted(
+        range(len(landmarks)), key=lambda i: (not landmarks[i].fixed, -landmarks[i].utility, i)
+    )
+    kept: list[int] = []
+    dropped: set[int] = set()
+    for i in order:
+        one = landmarks[i]
+        others = [landmarks[j] for j in kept if landmarks[j].area != one.area]
+        same = _again(one, others, config) if "x" in one.binds else False
+        if not same and one.kind in ("wall", "corridor"):
+            same = _covered(one, others, config)
+        if same and not one.fixed:
+            dropped.add(i)
+        else:
+            kept.append(i)
+    return dropped
+
+
+def _again(one: Placed, others: Sequence[Placed], config: LandmarkConfig) -> bool:
+    """Whether a landmark of the same kind lies there, with its material on the same side."""
+    for other in others:
+        if other.kind != one.kind or "x" not in other.binds:
+            continue
+        apart = float(np.hypot(*(one.pose[:2] - other.pose[:2])))
+        sigma = float(np.hypot(one.sigma, other.sigma))
+        if (
+            apart < min(config.same + 2.0 * sigma, _FARTHEST)
+            and one.material @ other.material > 0.7
+        ):
+            return True
+    return False
+
+
+def _covered(one: Placed, others: Sequence[Placed], config: LandmarkConfig) -> bool:
+    """Whether other areas' landmarks have all segments of this one."""
+    segments = [other.segments for other in others if len(other.segments)]
+    if not segments or not len(one.segments):
+        return False
+    theirs = np.concatenate(segments)
+    return all(_coverage(own, theirs, config) >= _COVERED for own in one.segments)
+
+
+def _coverage(own: Array, theirs: Array, config: LandmarkConfig) -> float:
+    """The share of a segment (2, 2) along which one of others (k, 2, 2) lies, facing alike."""
+    run = own[1] - own[0]
+    length = float(np.hypot(*run))
+    if length == 0.0:
+        return 1.0
+    t = run / length
+    n = np.array([t[1], -t[0]])
+    d = theirs - own[0]
+    along, off = d @ t, d @ n
+    straight = along[:, 1] - along[:, 0] > np.cos(config.parallel) * np.hypot(
+        along[:, 1] - along[:, 0], off[:, 1] - off[:, 0]
+    )
+    near = straight & (np.abs(off).max(axis=1) < config.same)
+    steps = (np.arange(20) + 0.5) / 20 * length
+    lo, hi = along[near].min(axis=1), along[near].max(axis=1)
+    covered = ((lo[:, None] <= steps) & (steps <= hi[:, None])).any(axis=0)
+    return float(covered.mean()) if near.any() else 0.0
