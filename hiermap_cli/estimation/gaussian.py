@@ -29,41 +29,56 @@ class Correction(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """What a measurement would do: `HP` (k, N), innovation covariance S (k, k)."""
+    """What a measurement would do, whitened: with `S = L L^T` its innovation covariance.
+
+    HP: (k, N). S: (k, k). L_inverse: (k, k) lower triangular. W: (k, N) = L^-1 H P, so that
+    `K S K^T = W^T W` and `K y = W^T L^-1 y`. The first rows of L^-1 y whiten the first rows of y
+    alone, whatever follows them.
+    """
 
     HP: Array
     S: Array
+    L_inverse: Array
+    W: Array
 
     def select(self, rows: Index) -> Gain:
         """The same for some of the rows."""
-        return Gain(self.HP[rows], self.S[rows[:, None], rows])
+        return whitened(self.HP[rows], self.S[rows[:, None], rows])
+
+    def whiten(self, y: Array) -> Array:
+        """`L^-1 y` (k,): independent and of unit variance where the filter is consistent."""
+        return np.asarray(self.L_inverse @ y)
 
 
 def symmetrise(P: Array) -> Array:
     """The symmetric part of P."""
-    return 0.5 * (P + P.T)
+    return np.asarray(0.5 * (P + P.T))
 
 
 def gain(P: Array, columns: Index, H_c: Array, R: Array) -> Gain:
-    """`HP` and `S = H P H^T + R` of a measurement with noise independent of the state."""
+    """The gain of a measurement with noise independent of the state.
+
+    `columns` may name a component twice: H's columns for it then add up.
+    """
     HP = H_c @ P[columns]
-    return Gain(HP, HP[:, columns] @ H_c.T + R)
+    return whitened(HP, HP[:, columns] @ H_c.T + R)
+
+
+def whitened(HP: Array, S: Array) -> Gain:
+    """A gain from `H P` and S."""
+    L_inverse = np.linalg.inv(np.linalg.cholesky(S))
+    return Gain(HP, S, L_inverse, L_inverse @ HP)
 
 
 def robot_correction(gain: Gain, y: Array) -> Array:
     """The robot's part (3,) of the Kalman correction: the relocation step."""
-    return np.asarray(gain.HP[:, :3].T @ np.linalg.solve(gain.S, y))
+    return np.asarray(gain.whiten(y) @ gain.W[:, :3])
 
 
 def condition(P: Array, gain: Gain, y: Array) -> Correction:
     """The Kalman filter's update: `K = P H^T S^-1`, `delta = K y`, `P - K S K^T`.
 
-    `K S K^T = W^T W` with `W = L^-1 H P`, whose product with its own transpose is symmetric to
-    the last bit, so that P stays so.
+    `W^T W` is symmetric to the last bit, so that P stays so.
     """
-    k = len(y)
-    L = np.linalg.cholesky(symmetrise(gain.S))
-    solved = np.linalg.solve(L, np.concatenate((gain.HP, y[:, None]), axis=1))
-    W, z = np.ascontiguousarray(solved[:, :-1]), solved[:, -1]
-    assert len(W) == k
-    return Correction(W.T @ z, P - W.T @ W, float(z @ z))
+    z = gain.whiten(y)
+    return Correction(z @ gain.W, P - gain.W.T @ gain.W, float(z @ z))

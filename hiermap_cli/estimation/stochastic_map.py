@@ -219,21 +219,24 @@ def remove_objects(V: StochasticMap, keep: Index) -> StochasticMap:
 
 
 def jacobian(V: StochasticMap, rows: Rows) -> tuple[Index, Array]:
-    """The columns of V that `rows` touch, and H over them: (c,), (k, c)."""
-    k, m = len(rows.innovation), len(V.parameters)
-    seen, slot = np.unique(rows.pose, return_inverse=True)
-    start = V.first_object
-    columns = np.concatenate(
-        (np.arange(start), (start + 3 * (seen[:, None] - 1) + np.arange(3)).ravel())
-    )
-    H = np.zeros((k, len(columns)))
+    """The columns of V that `rows` touch, and H over them: (c,), (k, c).
+
+    An object that several rows measure stands there once for each of them.
+    """
+    k, m, start = len(rows.innovation), len(V.parameters), V.first_object
+    at = start + 3 * k
+    columns = np.empty(at, dtype=np.int64)
+    columns[:start] = np.arange(start)
+    columns[start:] = (start - 3 + 3 * rows.pose[:, None] + np.arange(3)).ravel()
     H_o, H_r = rows.H_object, -rows.H_object
     if V.coordinates == "additive":
         H_o = np.einsum("ki,kij->kj", H_o, se2.invariant_D_additive(V.poses[rows.pose]))
         H_r = H_r @ se2.invariant_D_additive(V.robot)
+    H = np.zeros((k, at))
     H[:, :3] = H_r
     H[:, 3 : 3 + m] = rows.H_parameters
-    H[np.arange(k)[:, None], start + 3 * slot[:, None] + np.arange(3)] = H_o
+    row = np.arange(k)
+    H[row[:, None], start + 3 * row[:, None] + np.arange(3)] = H_o
     return columns, H
 
 

@@ -75,12 +75,14 @@ def associate(
     # of these pairs hold together.
     constraint, matches = _prepared(V, frames, view, tried.segment[best], tried.wall[best], ends)
     k = 2 * len(best)
-    walls = constraint.select(np.arange(k)) if len(ends.end) else constraint
-    d2 = float(walls.innovation @ np.linalg.solve(walls.gain.S, walls.innovation))
+    z = constraint.gain.whiten(constraint.innovation)[:k]
+    d2 = float(z @ z)
     if d2 > chi_square(config.gate, k):
         best = _jointly_compatible(V, frames, view, tried, config)
         ends = _end_candidates(area, view, tried.segment[best], tried.wall[best])
-        constraint, matches = _prepared(V, frames, view, tried.segment[best], tried.wall[best], ends)
+        constraint, matches = _prepared(
+            V, frames, view, tried.segment[best], tried.wall[best], ends
+        )
     return _with_ends(constraint, matches, near, offered, config)
 
 
