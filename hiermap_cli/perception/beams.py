@@ -89,26 +89,21 @@ def arrange(block: ScanBlock, config: LaserConfig, max_range: float) -> Beams:
     with np.errstate(invalid="ignore"):
         ranges[ranges >= far] = np.inf
         ranges[ranges <= near] = np.nan
-    count = len(ranges)
-    first = np.full(count, 0 if step > 0 else width - 1, dtype=np.int64)
-    if step < 0:
-        ranges = np.ascontiguousarray(ranges[:, ::-1])
-    valid = np.isfinite(ranges)
+    first = np.full(len(ranges), 0 if step > 0 else width - 1, dtype=np.int64)
+    ux, uy = np.cos(angles[:width]), np.sin(angles[:width])
+    # Views of one row: the same directions in every scan.
+    dx, dy = np.broadcast_to(ux[::step], ranges.shape), np.broadcast_to(uy[::step], ranges.shape)
+    ranges = ranges[:, ::step]
     if cyclic:
         # Along a wall the range is convex, so that the farthest return lies at a wall's end.
-        turned = np.argmax(np.where(valid, ranges, -1.0), axis=1)
+        turned = np.argmax(np.where(np.isfinite(ranges), ranges, -1.0), axis=1)
         columns = (turned[:, None] + np.arange(width)) % width
-        ranges = np.take_along_axis(ranges, columns, axis=1)
-        valid = np.take_along_axis(valid, columns, axis=1)
+        ranges, dx, dy = (np.take_along_axis(v, columns, axis=1) for v in (ranges, dx, dy))
         first = (first + step * turned) % width
+    ranges = np.ascontiguousarray(ranges)
+    valid = np.isfinite(ranges)
     cell = np.flatnonzero(valid)
-    ux, uy = np.cos(angles[:width]), np.sin(angles[:width])
-    r = ranges.ravel()[cell]
-    scan, column = np.divmod(cell, width)
-    beam = first[scan] + step * column
-    if cyclic:
-        beam %= width
-    dx, dy = ux[beam], uy[beam]
+    r, dx, dy = ranges[valid], dx[valid], dy[valid]
     return Beams(ranges, first, step, ux, uy, spacing, cyclic, far, cell, r * dx, r * dy, r, dx, dy)
 
 

@@ -42,39 +42,37 @@ def place_boundaries(
     first, last = pieces.run_first.copy(), pieces.run_last.copy()
     owner = pieces.run_segment
     left = np.flatnonzero((first[1:] - last[:-1] - 1 <= LOOSE) & (owner[1:] != owner[:-1]))
-    surface = np.cumsum(breaks)
-    left = left[surface[first[left + 1]] == surface[last[left]]]
+    between = np.minimum(last[left] + np.arange(1, LOOSE + 2)[:, None], first[left + 1])
+    left = left[~breaks[between].any(axis=0)]
     if not len(left):
         return first, last
     right = left + 1
-    size = 2 * WINDOW + LOOSE
+    # Windows of points lie along the first axis, (size, K).
+    step = np.arange(2 * WINDOW + LOOSE)[:, None]
     lo = np.maximum((first[left] + last[left]) // 2 + 1, last[left] - WINDOW + 1)
     hi = np.minimum((first[right] + last[right]) // 2, first[right] + WINDOW - 1)
-    grid = lo[:, None] + np.arange(size)
-    inside = grid <= hi[:, None]
-    off_left, off_right = _residuals(
-        beams, _lines_at_cut(beams, pieces, left, right), np.minimum(grid, hi[:, None])
-    )
+    grid = lo + step
+    inside = grid <= hi
+    lines = _lines_at_cut(beams, pieces, left, right)
+    off_left, off_right = _residuals(beams, lines, np.minimum(grid, hi))
     by_left, by_right = off_left * off_left * inside, off_right * off_right * inside
-    # Cut k gives the first k points of the window to the left.
-    total = np.zeros((len(left), size + 1))
-    np.cumsum(by_left, axis=1, out=total[:, 1:])
-    total[:, :-1] += np.cumsum(by_right[:, ::-1], axis=1)[:, ::-1]
-    total[np.arange(size + 1) > (hi - lo + 1)[:, None]] = np.inf
-    cut = np.argmin(total, axis=1)[:, None]
+    # A cut at k gives the first k points of the window to the left: what that costs, beyond what
+    # all cost on the right.
+    cut = np.cumsum(by_left - by_right, axis=0)
+    cut = np.where(cut.min(axis=0) < 0.0, np.argmin(cut, axis=0) + 1, 0)
 
     # Points gained must lie on the line: what is beyond one that does not, is nobody's. Where both
     # lines are the same within the noise, the side of a point would depend on its error.
-    sigma = laser.sigma_range + laser.sigma_range_scale * beams.r[last[left]][:, None]
+    sigma = laser.sigma_range + laser.sigma_range_scale * beams.r[last[left]]
     allowed = np.maximum(0.5 * config.split_floor, config.split_sigmas * sigma) ** 2
-    step = np.arange(size)
-    vague = np.abs(off_left - off_right) < VAGUE * sigma
-    lost = (by_left > allowed) & (grid > last[left, None])
-    end = np.minimum(cut, np.where(lost, step, size).min(axis=1, keepdims=True))
-    end = np.where(~vague & (step < end), step + 1, np.maximum(end - WINDOW, 0)).max(axis=1)
-    lost = (by_right > allowed) & (grid < first[right, None])
-    begin = np.maximum(cut, np.where(lost, step + 1, 0).max(axis=1, keepdims=True))
-    begin = np.where(~vague & (step >= begin), step, np.minimum(begin + WINDOW, size)).min(axis=1)
+    clear = np.abs(off_left - off_right) >= VAGUE * sigma
+    size = len(step)
+    lost = (by_left > allowed) & (grid > last[left])
+    end = np.minimum(cut, np.where(lost, step, size).min(axis=0))
+    end = np.maximum((clear * (step + 1) * (step < end)).max(axis=0), end - WINDOW)
+    lost = (by_right > allowed) & (grid < first[right])
+    begin = np.maximum(cut, (lost * (step + 1)).max(axis=0))
+    begin = np.minimum(np.where(clear & (step >= begin), step, size).min(axis=0), begin + WINDOW)
     last[left] = np.maximum(lo + end - 1, first[left])
     first[right] = np.minimum(lo + begin, last[right])
     return first, last
@@ -96,15 +94,14 @@ def clear_seam(beams: Beams, pieces: Pieces, first: Index, last: Index) -> tuple
     if not len(opening):
         return first, last
     lines = _lines_at_cut(beams, pieces, closing, opening)
-    step = np.arange(WINDOW)
-    ahead = np.minimum(first[opening, None] + step, last[opening, None])
-    behind = np.maximum(last[closing, None] - step, first[closing, None])
+    step = np.arange(WINDOW)[:, None]
+    ahead = np.minimum(first[opening] + step, last[opening])
+    behind = np.maximum(last[closing] - step, first[closing])
     for point, sign, end, run in ((ahead, 1, first, opening), (behind, -1, last, closing)):
         by_other, by_own = _residuals(beams, lines, point)[::sign]
         # The cut with the least sum of squared residuals, counted from the seam.
-        gain = np.cumsum(by_other**2 - by_own**2, axis=1)
-        best = np.argmin(gain, axis=1)
-        drop = np.where(gain.min(axis=1) < 0.0, best + 1, 0)
+        gain = np.cumsum(by_other**2 - by_own**2, axis=0)
+        drop = np.where(gain.min(axis=0) < 0.0, np.argmin(gain, axis=0) + 1, 0)
         end[run] += sign * np.minimum(drop, last[run] - first[run])
     return first, last
 
@@ -118,23 +115,23 @@ def _lines_at_cut(beams: Beams, pieces: Pieces, left: Index, right: Index) -> Li
     first, last = pieces.run_first[runs], pieces.run_last[runs]
     inwards = np.repeat((-1, 1), len(left))
     edge = np.where(inwards < 0, last, first)
-    unsure = np.clip((last - first - 2) // 2, 0, UNSURE)[:, None]
-    step = np.arange(UNSURE)
-    point = edge[:, None] + inwards[:, None] * np.minimum(step, np.maximum(unsure - 1, 0))
+    unsure = np.clip((last - first - 2) // 2, 0, UNSURE)
+    step = np.arange(UNSURE)[:, None]
+    point = edge + inwards * np.minimum(step, np.maximum(unsure - 1, 0))
     dropped = few_moments(beams.x[point], beams.y[point], step < unsure)
-    return fit_moments(pieces.sums[:, pieces.run_segment[runs]] - dropped)
+    return fit_moments(pieces.sums[:, pieces.run_segment[runs]] - dropped)[0]
 
 
 def _residuals(beams: Beams, lines: Lines, point: Index) -> tuple[Array, Array]:
-    """Distances of points (K, m) from the left and from the right lines of (2 K), along the beam.
+    """Distances of points (m, K) from the left and from the right lines of (2 K), along the beam.
 
     The noise is the same along any beam, so that these say which of two lines explains a point:
     across a wall seen steeply the noise is small.
     """
-    count = len(point)
+    count = point.shape[1]
     dx, dy, r = beams.dx[point], beams.dy[point], beams.r[point]
     out = []
     for half in (slice(None, count), slice(count, None)):
-        nx, ny, d = (v[half, None] for v in lines)
+        nx, ny, d = (v[half] for v in lines)
         out.append(r - d / np.maximum(nx * dx + ny * dy, STEEPEST))
     return out[0], out[1]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hiermap_cli.config import LaserConfig, SegmentationConfig
     from hiermap_cli.perception.beams import Beams
 
-SAMPLE = 4000  # triples of beams that are looked at for the noise of a block
+SAMPLE = 1500  # triples of beams that are looked at for the noise of a block
 
 
 def breakpoints(beams: Beams, laser: LaserConfig, config: SegmentationConfig) -> NDArray[np.bool_]:
@@ -30,31 +30,34 @@ def breakpoints(beams: Beams, laser: LaserConfig, config: SegmentationConfig) ->
     breaks = np.ones(total, dtype=bool)
     if total < 2:
         return breaks
-    width = beams.ranges.shape[1]
+    count, width = beams.ranges.shape
     cell, r = beams.cell, beams.r
-    gap = np.diff(cell)
-    sigma = laser.sigma_range + laser.sigma_range_scale * r
-    noise = 3.0 * np.sqrt(2.0) * np.maximum(sigma[1:], sigma[:-1])
+    noise = 3.0 * np.sqrt(2.0) * laser.sigma_range
     steps = np.arange(config.max_gap_beams + 2) * beams.spacing
-    ratio = np.full(len(steps), np.inf)
-    below = steps < config.breakpoint_angle * 0.9
+    below = steps < 0.9 * config.breakpoint_angle
+    ratio = np.ones(len(steps))
     ratio[below] = np.sin(steps[below]) / np.sin(config.breakpoint_angle - steps[below])
-    ratio[~below] = ratio[below][-1] if below.any() else 1.0
-    near = np.minimum(r[1:], r[:-1])
-    allowed = near * ratio[np.minimum(gap, len(steps) - 1)] + noise
-    step = (beams.x[1:] - beams.x[:-1]) ** 2 + (beams.y[1:] - beams.y[:-1]) ** 2
-    apart = step > allowed * allowed
-    suspect = np.flatnonzero(apart & (gap == 1))
+    allowed = np.minimum(r[1:], r[:-1])
+    allowed *= ratio[1] + 3.0 * np.sqrt(2.0) * laser.sigma_range_scale
+    allowed += noise
+    across = np.diff(beams.x) ** 2
+    across += np.diff(beams.y) ** 2
+    gap = np.diff(cell)
+    wide = np.flatnonzero(gap > 1)
+    allowed[wide] *= ratio[np.minimum(gap[wide], len(steps) - 1)] / ratio[1]
+    allowed *= allowed
+    apart = across > allowed
+    suspect = np.flatnonzero(apart)
+    suspect = suspect[gap[suspect] == 1]
     if len(suspect):
         apart[suspect[_runs_on(beams, laser, suspect)]] = False
-    apart |= gap > config.max_gap_beams + 1
-    scan = cell // width
-    apart |= scan[1:] != scan[:-1]
-    missing = np.flatnonzero((gap > 1) & ~apart)
-    if len(missing):
-        free = np.cumsum(np.isposinf(beams.ranges.ravel()))
-        apart[missing] = free[cell[missing + 1]] > free[cell[missing]]
+    # Across beams that say nothing a surface goes on, but not across free space.
+    between = cell[wide] + np.arange(1, config.max_gap_beams + 1)[:, None]
+    between = np.minimum(between, cell[wide + 1])
+    free = np.isposinf(beams.ranges.ravel()[between]).any(axis=0)
+    apart[wide] |= free | (gap[wide] > config.max_gap_beams + 1)
     breaks[1:] = apart
+    breaks[np.searchsorted(cell, np.arange(0, count * width, width)[:count]) % total] = True
     return breaks
 
 

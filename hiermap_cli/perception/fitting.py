@@ -50,33 +50,18 @@ def run_moments(x: Array, y: Array, starts: Index) -> Array:
 
 
 def few_moments(x: Array, y: Array, take: Mask) -> Array:
-    """Sums of 1, x, y, xx, xy, yy over the points (K, m) that `take` (K, m) marks: (6, K)."""
-    x, y = np.where(take, x, 0.0), np.where(take, y, 0.0)
-    return np.stack([v.sum(axis=1) for v in (take, x, y, x * x, x * y, y * y)])
+    """Sums of 1, x, y, xx, xy, yy over the points (m, K) that `take` (m, K) marks: (6, K)."""
+    x, y = x * take, y * take
+    return np.stack([v.sum(axis=0) for v in (take, x, y, x * x, x * y, y * y)])
 
 
-def least_scatter(sums: Array) -> Array:
-    """Sum of squared distances (K,) from the best line of moments (6, K).
+def fit_moments(sums: Array) -> tuple[Lines, Array]:
+    """Unweighted total least squares lines of moments (6, K), and their scatter (K,).
 
-    It is the smaller eigenvalue of the scatter matrix.
+    The normal is the axis of the smaller eigenvalue of the scatter matrix, without trigonometry;
+    the scatter is that eigenvalue, the sum of squared distances from the line.
     """
-    n, sx, sy, sxx, sxy, syy = sums
-    mx, my = sx / n, sy / n
-    xx, xy, yy = sxx - sx * mx, sxy - sx * my, syy - sy * my
-    half = 0.5 * (xx - yy)
-    return np.asarray(np.maximum(0.5 * (xx + yy) - np.sqrt(half * half + xy * xy), 0.0))
-
-
-def fit_moments(sums: Array) -> Lines:
-    """Unweighted total least squares lines of moments (6, K).
-
-    The normal is the axis of the smaller eigenvalue of the scatter matrix, without trigonometry.
-    """
-    n, sx, sy, sxx, sxy, syy = sums
-    mx, my = sx / n, sy / n
-    xx, xy, yy = sxx - sx * mx, sxy - sx * my, syy - sy * my
-    half = 0.5 * (xx - yy)
-    root = np.sqrt(half * half + xy * xy)
+    mx, my, half, xy, root, scatter = _principal(sums)
     # The direction of the line is (half + root, xy) or (xy, root - half): the longer one.
     wide = half >= 0.0
     along = np.abs(half) + root
@@ -86,7 +71,25 @@ def fit_moments(sums: Array) -> Lines:
     nx, ny = ty / length, -tx / length
     d = nx * mx + ny * my
     sign = np.where(d < 0.0, -1.0, 1.0)
-    return Lines(sign * nx, sign * ny, sign * d)
+    return Lines(sign * nx, sign * ny, sign * d), scatter
+
+
+def least_scatter(sums: Array) -> Array:
+    """The scatter (K,) of `fit_moments` alone."""
+    return _principal(sums)[-1]
+
+
+def _principal(sums: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Of moments (6, K): mean x and y, half of xx - yy, xy, their norm, the smaller eigenvalue.
+
+    xx, xy and yy are the elements of the scatter matrix about the mean.
+    """
+    n, sx, sy, sxx, sxy, syy = sums
+    mx, my = sx / n, sy / n
+    xx, xy, yy = sxx - sx * mx, sxy - sx * my, syy - sy * my
+    half = 0.5 * (xx - yy)
+    root = np.sqrt(half * half + xy * xy)
+    return mx, my, half, xy, root, np.maximum(0.5 * (xx + yy) - root, 0.0)
 
 
 class Members(NamedTuple):
@@ -111,6 +114,13 @@ class Members(NamedTuple):
         counts = self.counts[which]
         chosen = (v[here] for v in (self.x, self.y, self.ux, self.uy, self.r))
         return Members(self.point[here], np.cumsum(counts) - counts, counts, *chosen), here
+
+    def between(self, first: Index, last: Index) -> Mask:
+        """True for points `first` to `last` (exclusive; (K,), counted as in `point`) of each."""
+        mask = np.zeros(len(self.point) + 1, dtype=np.int8)
+        mask[first] = 1
+        mask[last] -= 1
+        return np.cumsum(mask[:-1], dtype=np.int8).view(np.bool_)
 
     def spread(self, value: NDArray[T]) -> NDArray[T]:
         """A value of each segment (K,) at each of its points (M,)."""
@@ -149,6 +159,20 @@ class Fit(NamedTuple):
     residual: Array
     variance: Array
     chi2: Array
+
+    def take(self, index: Mask) -> Fit:
+        """The fits at `index`; residuals and variances of points are left out."""
+        none = np.zeros(0)
+        return Fit(
+            self.lines.take(index),
+            self.cx[index],
+            self.cy[index],
+            self.var_alpha[index],
+            self.var_d[index],
+            residual=none,
+            variance=none,
+            chi2=self.chi2[index],
+        )
 
 
 def refine(

@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 
 SOLID = 3  # points that a run needs to take part
 NEAR_BEAMS = 8  # neighbours with so few beams between may be joined along a line seen steeply
-ALIKE = 0.9  # cosine between the normals of two sides of one wall, at the least
-ACROSS = 4  # at most so many segments farther on is the other side of an occluder
+ALIKE = 0.8  # cosine between the normals of two pieces of one wall, at the least, but for those
+SHORT = 0.1  # metres; that are too short to have one
+ACROSS = 3  # at most so many segments farther on is the other side of an occluder
 
 
 class Pieces(NamedTuple):
@@ -48,39 +49,42 @@ class Pieces(NamedTuple):
 
 
 class _State:
-    """The segments while they are merged: arrays over all of them, changed in place."""
+    """The segments while they are merged: arrays over all of them, changed in place.
+
+    scan: of each segment. scatter, normal, noise: of its fit, the last across it and a point.
+    extent: squared distance between its extreme points. into: the segment it was merged into,
+    itself if none. Moments are kept by rows, (K, 6).
+    """
 
     def __init__(self, beams: Beams, pieces: Pieces, laser: LaserConfig, uneven: float) -> None:
         self.beams, self.laser, self.uneven = beams, laser, uneven
-        self.sums, self.first, self.last = pieces.sums, pieces.first.copy(), pieces.last.copy()
+        count = len(pieces.first)
+        self.sums = np.ascontiguousarray(pieces.sums.T)
+        self.first, self.last = pieces.first, pieces.last.copy()
         self.scan = beams.cell[pieces.first] // beams.ranges.shape[1]
-        self.scatter = np.empty(len(self.first))
-        self.noise = np.empty(len(self.first))
-        self.normal = np.empty((2, len(self.first)))
-        self.into = np.arange(len(self.first))
+        self.into = np.arange(count)
+        self.scatter, self.noise, self.extent = np.empty(count), np.empty(count), np.empty(count)
+        self.normal = np.empty((2, count))
         self.update(self.into)
 
     def update(self, k: Index) -> None:
-        """Scatter of the segments k, their normals, and the noise of their points across them.
+        """Fit the segments k, and judge the noise of their points across the line.
 
         The noise is the larger of what the sensor has at that incidence and what the points show,
         as far as a wall may be uneven.
         """
-        sums = self.sums[:, k]
-        scatter, line, point = least_scatter(sums), fit_moments(sums), self.last[k]
-        sigma = self.laser.sigma_range + self.laser.sigma_range_scale * self.beams.r[point]
-        cosine = line.nx * self.beams.dx[point] + line.ny * self.beams.dy[point]
+        sums, first, last = self.sums.take(k, axis=0).T, self.first[k], self.last[k]
+        line, scatter = fit_moments(sums)
+        sigma = self.laser.sigma_range + self.laser.sigma_range_scale * self.beams.r[last]
+        cosine = line.nx * self.beams.dx[last] + line.ny * self.beams.dy[last]
         shown = np.minimum(scatter / np.maximum(sums[0] - 2.0, 1.0), self.uneven)
         self.noise[k] = np.maximum((sigma * cosine) ** 2, shown)
-        self.scatter[k], self.normal[:, k] = scatter, (line.nx, line.ny)
-
-    def extent(self, k: Index) -> Array:
-        """Squared distances between the extreme points of the segments k."""
-        return _square_gap(self.beams, self.first[k], self.last[k])
+        self.scatter[k], self.normal[0, k], self.normal[1, k] = scatter, line.nx, line.ny
+        self.extent[k] = _square_gap(self.beams, first, last)
 
     def join(self, i: Index, j: Index) -> None:
         """Merge each segment j into i; no segment may occur twice."""
-        self.sums[:, i] += self.sums[:, j]
+        self.sums[i] += self.sums[j]
         self.last[i] = self.last[j]
         self.into[j] = i
         self.update(i)
@@ -88,7 +92,7 @@ class _State:
     def alive(self, least: int) -> Index:
         """The segments that are not merged into others and have at least so many points."""
         whole = self.into == np.arange(len(self.into))
-        return np.flatnonzero(whole & (self.sums[0] >= least))
+        return np.flatnonzero(whole & (self.sums[:, 0] >= least))
 
 
 def merge(
@@ -109,19 +113,16 @@ def merge(
     if not len(first):
         return pieces
     state = _State(beams, pieces, laser, (0.5 * config.split_floor) ** 2)
-    tried = _merge_neighbours(state, config)
-    for offset in range(1, ACROSS + 1):
-        _merge_across(state, offset, tried, config)
+    _merge_neighbours(state, config)
+    _merge_across(state, config)
     if beams.cyclic:
         _merge_over_seam(state, config)
-    into = state.into
-    while not np.array_equal(into, into[into]):
-        into = into[into]
-    keep = (into == np.arange(len(into))) & (state.sums[0] >= config.min_points)
+    into = _root(state.into)
+    keep = (into == np.arange(len(into))) & (state.sums[:, 0] >= config.min_points)
     number = np.cumsum(keep) - 1
     kept = keep[into]
     return Pieces(
-        state.sums[:, keep],
+        state.sums[keep].T,
         state.first[keep],
         state.last[keep],
         first[kept],
@@ -130,30 +131,32 @@ def merge(
     )
 
 
-def _merge_neighbours(state: _State, config: SegmentationConfig) -> Index:
-    """Merge neighbours until none is left that one line holds; each one's next (K,), -1 if none."""
+def _merge_neighbours(state: _State, config: SegmentationConfig) -> None:
+    """Merge runs that follow on one another without a point between, until no line holds two."""
     count = len(state.first)
-    joined = state.scan[1:] == state.scan[:-1]
-    following = np.append(np.where(joined, np.arange(1, count), -1), -1)
-    preceding = np.append(-1, np.where(joined, np.arange(count - 1), -1))
-    i = np.flatnonzero(following >= 0)
+    joined = np.flatnonzero(
+        (state.last[:-1] + 1 == state.first[1:]) & (state.scan[:-1] == state.scan[1:])
+    )
+    following, preceding = np.full(count, -1), np.full(count, -1)
+    following[joined], preceding[joined + 1] = joined + 1, joined
+    i = joined
     while len(i):
         j = following[i]
-        good, cost = _mergeable(state, i, j, config)
+        good, cost, _ = _one_line(state, i, j, config)
         waiting, j = i[good], j[good]
         chosen = _without_conflicts(count, waiting, j, cost[good])
         left, right = waiting[chosen], j[chosen]
+        if not len(left):
+            break
         state.join(left, right)
         after = following[right]
         following[left] = after
         preceding[after[after >= 0]] = left[after >= 0]
         # Only what has changed, or had to wait, is looked at again.
-        again = np.concatenate((left, preceding[left], waiting[~chosen]))
-        again = np.unique(again[again >= 0])
-        i = again[(state.into[again] == again) & (following[again] >= 0)]
-        if not len(left):
-            break
-    return following
+        again = np.zeros(count, dtype=bool)
+        again[left] = again[preceding[left]] = again[waiting] = True
+        again &= (following >= 0) & (state.into == np.arange(count))
+        i = np.flatnonzero(again)
 
 
 def _without_conflicts(count: int, i: Index, j: Index, cost: Array) -> Mask:
@@ -168,23 +171,29 @@ def _without_conflicts(count: int, i: Index, j: Index, cost: Array) -> Mask:
     return np.asarray(chosen)
 
 
-def _merge_across(state: _State, offset: int, tried: Index, config: SegmentationConfig) -> None:
-    """Merge each segment with the one `offset` farther on, where both are one wall.
+def _merge_across(state: _State, config: SegmentationConfig) -> None:
+    """Merge each segment with one of the next few, where both are one wall.
 
-    `tried` (K,) names each segment's neighbour, with which one line does not hold it.
+    Between them are small pieces, or something that stands before the wall.
     """
     alive = state.alive(config.min_points)
-    i, j = alive[:-offset], alive[offset:]
-    reach = config.merge_gap**2
-    open_ = (state.scan[i] == state.scan[j]) & (state.last[i] < state.first[j]) & (tried[i] != j)
-    open_ &= _square_gap(state.beams, state.last[i], state.first[j]) <= reach
-    i, j = i[open_], j[open_]
-    alike = (state.normal[:, i] * state.normal[:, j]).sum(axis=0) > ALIKE
-    i, j = i[alike], j[alike]
+    i = np.concatenate([alive[:-k] for k in range(1, ACROSS + 1)])
+    j = np.concatenate([alive[k:] for k in range(1, ACROSS + 1)])
+    some = (state.scan[i] == state.scan[j]) & (state.last[i] + 1 < state.first[j])
+    i, j = i[some], j[some]
     good, cost = _mergeable(state, i, j, config)
     i, j = i[good], j[good]
-    chosen = _without_conflicts(len(state.first), i, j, cost[good])
-    state.join(i[chosen], j[chosen])
+    while len(i):
+        chosen = _without_conflicts(len(state.first), i, j, cost[good])
+        if not chosen.any():
+            break
+        state.join(i[chosen], j[chosen])
+        # What was merged on may be merged again, with what comes after.
+        i, j = _root(state.into)[i[~chosen]], j[~chosen]
+        some = (state.into[j] == j) & (state.last[i] < state.first[j])
+        i, j = i[some], j[some]
+        good, cost = _mergeable(state, i, j, config)
+        i, j = i[good], j[good]
 
 
 def _merge_over_seam(state: _State, config: SegmentationConfig) -> None:
@@ -198,37 +207,57 @@ def _merge_over_seam(state: _State, config: SegmentationConfig) -> None:
     state.join(closing[good], opening[good])
 
 
+def _root(into: Index) -> Index:
+    """The segment that each was merged into in the end."""
+    while not np.array_equal(into, into[into]):
+        into = into[into]
+    return into
+
+
 def _square_gap(beams: Beams, last: Index, first: Index) -> Array:
     """Squared distance between two points."""
     return np.asarray((beams.x[first] - beams.x[last]) ** 2 + (beams.y[first] - beams.y[last]) ** 2)
 
 
 def _mergeable(state: _State, i: Index, j: Index, config: SegmentationConfig) -> tuple[Mask, Array]:
-    """Whether one line holds segments i and j, and nothing between denies it; and the cost.
+    """Whether one line holds segments i and j, and nothing between denies it; and the cost."""
+    good, cost, sums = _one_line(state, i, j, config)
+    some = np.flatnonzero(good)
+    last, first = state.last[i[some]], state.first[j[some]]
+    good[some] = _gap_allows(state, last, first, sums, config)
+    return good, cost
+
+
+def _one_line(
+    state: _State, i: Index, j: Index, config: SegmentationConfig
+) -> tuple[Mask, Array, Array]:
+    """Whether one line holds segments i and j, the cost, and the moments of those it does.
 
     What a common line costs, the growth of the scatter, is the noise's variance times a chi-square
     of two degrees of freedom when both are one line, or a little more as runs are split where they
-    deviate most (hence one sigma more). Walls are uneven: the smaller piece may turn
-    off the line by half of `split_floor` at its end, which is a third of that squared a point;
-    but all points together must still make a line.
+    deviate most (hence one sigma more). Walls are uneven: the smaller piece may turn off the line
+    by half of `split_floor` at its end, which is a third of that squared a point; but all points
+    together must still make a line.
     """
-    both = state.sums[:, i] + state.sums[:, j]
-    n_i, n_j = state.sums[0, i], state.sums[0, j]
-    n = n_i + n_j
+    good, cost = np.zeros(len(i), dtype=bool), np.full(len(i), np.inf)
+    # Two small heaps far apart are no line, although one always goes through both; and what is
+    # long enough to have a direction must share it.
+    extents = state.extent[i], state.extent[j]
+    near = _square_gap(state.beams, state.last[i], state.first[j]) <= np.maximum(*extents)
+    alike = (state.normal[:, i] * state.normal[:, j]).sum(axis=0) > ALIKE
+    some = np.flatnonzero(near & (alike | (np.minimum(*extents) < SHORT**2)))
+    i, j = i[some], j[some]
+    both = (state.sums.take(i, axis=0) + state.sums.take(j, axis=0)).T
+    n_i, n_j = state.sums[i, 0], state.sums[j, 0]
     scatter = least_scatter(both)
-    noise = (n_i * state.noise[i] + n_j * state.noise[j]) / n
+    noise = (n_i * state.noise[i] + n_j * state.noise[j]) / both[0]
     bends = np.minimum(n_i, n_j) * (state.uneven / 3.0) + (config.split_sigmas + 1.0) ** 2 * noise
-    cost = (scatter - state.scatter[i] - state.scatter[j]) / bends
-    freedom = n - 2.0
+    price = (scatter - state.scatter[i] - state.scatter[j]) / bends
+    freedom = both[0] - 2.0
     most = freedom + config.split_sigmas * np.sqrt(2.0 * freedom)
-    good = (cost < 1.0) & (scatter < most * (state.uneven + noise))
-    # Two small heaps far apart are no line, although one always goes through both.
-    gap = _square_gap(state.beams, state.last[i], state.first[j])
-    good &= gap <= np.maximum(state.extent(i), state.extent(j))
-    some = np.flatnonzero(good)
-    last, first = state.last[i[some]], state.first[j[some]]
-    good[some] = _gap_allows(state, last, first, both[:, some], config)
-    return good, cost
+    fine = np.flatnonzero((price < 1.0) & (scatter < most * (state.uneven + noise)))
+    good[some[fine]], cost[some] = True, price
+    return good, cost, both[:, fine]
 
 
 def _gap_allows(
@@ -252,7 +281,8 @@ def _gap_allows(
     apart, near = apart[ok[apart]], near[ok[apart]]
     if not len(apart):
         return ok
-    line, count = fit_moments(sums[:, apart]), between[apart]
+    line, _ = fit_moments(sums[:, apart])
+    count = between[apart]
     after = concatenated_ranges(np.ones(len(apart), dtype=np.int64), count)
     row, column = np.divmod(np.repeat(beams.cell[last[apart]], count), width)
     cells = row * width + (column + after) % width

@@ -63,11 +63,17 @@ def segment_block(block: ScanBlock, laser: LaserConfig, config: SegmentationConf
     pieces = merge(beams, runs, noise, floors)
     if not len(pieces.first):
         return _empty()
-    members, lines = _members(beams, breaks, pieces, noise, floors)
+    members = _members(beams, breaks, pieces, noise, floors)
     if not len(members.starts):
         return _empty()
-    fit = _final_fit(members, lines, laser, config)
-    return _describe(beams, members, fit, block.mount, laser, config)
+    lines, dropped = inner_lines(members, noise)
+    first, last = members.starts + dropped[:, 0], members.starts + members.counts - dropped[:, 1]
+    fit = _final_fit(members, lines, first, last, laser, config)
+    whole = last - first >= config.min_points
+    begin, end = members.point[first[whole]], members.point[last[whole] - 1]
+    return _describe(
+        beams, fit.take(whole), begin, end, (last - first)[whole], block.mount, laser, config
+    )
 
 
 def _members(
@@ -76,16 +82,16 @@ def _members(
     pieces: Pieces,
     laser: LaserConfig,
     config: SegmentationConfig,
-) -> tuple[Members, Lines]:
-    """The points of each segment in the end, and lines of the inner ones."""
+) -> Members:
+    """The points of each segment: corners shared out, and single ones gained."""
     first, last = place_boundaries(beams, breaks, pieces, laser, config)
     if beams.cyclic:
         first, last = clear_seam(beams, pieces, first, last)
     owner = pieces.run_segment
-    lines = fit_moments(pieces.sums)
+    lines, _ = fit_moments(pieces.sums)
     first, last = gain_points(beams, breaks, lines.take(owner), first, last, laser, config)
     # Of a wall across the seam the runs before the seam come first.
-    order = np.lexsort((first, pieces.run_first < pieces.first[owner], owner))
+    order = np.argsort(2 * owner + (pieces.run_first < pieces.first[owner]), kind="stable")
     first, last, owner = first[order], last[order], owner[order]
     # Beside what stands before a wall, the last point may be of neither.
     parted = (owner[1:] == owner[:-1]) & (np.abs(first[1:] - last[:-1]) > 1)
@@ -98,47 +104,42 @@ def _members(
     number = np.cumsum(enough) - 1
     first, last, owner = first[kept], last[kept], number[owner[kept]]
     counts = counts[enough]
-    if not len(counts):
-        return gather(beams, first, counts), lines.take(first)
-
-    index = concatenated_ranges(first, last - first + 1)
-    members = gather(beams, index, counts)
-    lines, foretold = inner_lines(members, laser)
-    if not foretold.all():
-        counts = members.total(foretold)
-        enough = counts >= config.min_points
-        foretold &= members.spread(enough)
-        members, lines = gather(beams, index[foretold], counts[enough]), lines.take(enough)
-    return members, lines
+    return gather(beams, concatenated_ranges(first, last - first + 1), counts)
 
 
 def _final_fit(
-    members: Members, lines: Lines, laser: LaserConfig, config: SegmentationConfig
+    members: Members,
+    lines: Lines,
+    first: Index,
+    last: Index,
+    laser: LaserConfig,
+    config: SegmentationConfig,
 ) -> Fit:
-    """Maximum likelihood lines; outliers do not count, and walls may be uneven.
+    """Maximum likelihood lines of the points `first` to `last` (exclusive); outliers do not count.
 
     Walls are not lines: where the residuals are larger than the sensor's noise can make them
     (their chi-square by more than five sigmas), what exceeds it is taken for white unevenness of
     the wall, and the fit is weighted and its covariance stated with it.
     """
-    fit = refine(members, lines, laser)
-    freedom = np.maximum(members.counts - 2.0, 1.0)
+    keep, counts = members.between(first, last), last - first
+    fit = refine(members, lines, laser, keep)
+    freedom = np.maximum(counts - 2.0, 1.0)
     ratio = fit.residual * fit.residual
     ratio /= fit.variance
     bound = config.outlier_sigmas**2 * np.maximum(fit.chi2 / freedom, 1.0)
-    keep = ratio <= members.spread(bound)
-    again = members.total(keep) < members.counts
-    again |= _is_rough(fit.chi2, freedom)
+    off = np.flatnonzero(keep & (ratio > members.spread(bound)))
+    again = _is_rough(fit.chi2, freedom)
+    again[np.searchsorted(members.starts, off, side="right") - 1] = True
     if not again.any():
         return fit
+    keep[off] = False
     members, here = members.of(again)
     keep = keep[here]
     freedom = np.maximum(members.total(keep) - 2.0, 1.0)
     square = fit.residual[here] ** 2
     excess = (members.total(square * keep) - members.total(fit.variance[here] * keep)) / freedom
-    uneven = np.where(
-        _is_rough(members.total(ratio[here] * keep), freedom), np.maximum(excess, 0.0), 0.0
-    )
+    rough = _is_rough(members.total(ratio[here] * keep), freedom)
+    uneven = np.where(rough, np.maximum(excess, 0.0), 0.0)
     better = refine(members, fit.lines.take(again), laser, keep, uneven)
     for old, new in zip((*fit.lines, *fit[1:5]), (*better.lines, *better[1:5]), strict=True):
         old[again] = new
@@ -152,40 +153,40 @@ def _is_rough(chi2: Array, freedom: Array) -> Mask:
 
 def _describe(
     beams: Beams,
-    members: Members,
     fit: Fit,
+    begin: Index,
+    end: Index,
+    counts: Index,
     mount: Mount,
     laser: LaserConfig,
     config: SegmentationConfig,
 ) -> SegmentBlock:
     """Segments that are long enough, with their ends, in the robot's frame."""
-    begin = members.point[members.starts]
-    end = members.point[members.starts + members.counts - 1]
-    extent = np.hypot(beams.x[end] - beams.x[begin], beams.y[end] - beams.y[begin])
-    good = np.flatnonzero(extent >= config.min_length)
-    begin, end = begin[good], end[good]
-    lines = fit.lines.take(good)
+    extent = (beams.x[end] - beams.x[begin]) ** 2 + (beams.y[end] - beams.y[begin]) ** 2
+    good = extent >= config.min_length**2
+    begin, end, fit, counts = begin[good], end[good], fit.take(good), counts[good]
+    lines = fit.lines
     ends = describe_ends(beams, begin, end, lines, laser, config)
     origin = np.array([mount.x, mount.y])
     nx, ny, d = lines
-    covariance = np.zeros((len(good), 2, 2))
-    covariance[:, 0, 0], covariance[:, 1, 1] = fit.var_alpha[good], fit.var_d[good]
-    points = np.stack((ends.x, ends.y), axis=2) + origin
+    covariance = np.zeros((len(begin), 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = fit.var_alpha, fit.var_d
+    points = np.stack((ends.x, ends.y), axis=2) + origin  # (2, K, 2)
     return SegmentBlock(
         scan=beams.cell[begin] // beams.ranges.shape[1],
         first_beam=beams.beam(beams.cell[begin]),
         last_beam=beams.beam(beams.cell[end]),
-        p1=points[:, 0],
-        p2=points[:, 1],
+        p1=points[0],
+        p2=points[1],
         alpha=wrap(np.arctan2(ny, nx)),
         d=d + nx * origin[0] + ny * origin[1],
-        centre=np.stack((fit.cx, fit.cy), axis=1)[good] + origin,
+        centre=np.stack((fit.cx, fit.cy), axis=1) + origin,
         covariance=covariance,
-        points=members.counts[good],
-        length=np.hypot(*(points[:, 1] - points[:, 0]).T),
-        end1=ends.kind[:, 0],
-        end2=ends.kind[:, 1],
-        end_sigma=ends.sigma,
+        points=counts,
+        length=np.hypot(*(points[1] - points[0]).T),
+        end1=ends.kind[0],
+        end2=ends.kind[1],
+        end_sigma=ends.sigma.T,
     )
 
 

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiermap_cli.perception.beams import concatenated_ranges
-
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import LaserConfig, SegmentationConfig
     from hiermap_cli.perception.beams import Beams
 
+    Array = NDArray[np.float64]
     Index = NDArray[np.int64]
     Mask = NDArray[np.bool_]
 
@@ -27,7 +26,7 @@ def split(
 ) -> tuple[Index, Index]:
     """First and last point (inclusive) of every straight run, in order: (R,), (R,).
 
-    Runs of fewer than `min_points` are not split any further.
+    Runs of fewer than `min_points`, or too small to hold a segment, are not split any further.
     """
     cut = breaks.copy()
     first = np.flatnonzero(breaks)
@@ -37,7 +36,10 @@ def split(
         first, last = first[enough], last[enough]
         if not len(first):
             break
-        at, bends = _farthest(beams, first, last, laser, config)
+        at, most, chord, cosine = _farthest(beams, first, last)
+        sigma = laser.sigma_range + laser.sigma_range_scale * beams.r[at]
+        bends = most > np.maximum(config.split_floor, config.split_sigmas * sigma * cosine)
+        bends &= np.maximum(chord, most) > 0.5 * config.min_length
         first, last, at = first[bends], last[bends], at[bends]
         cut[at + 1] = True
         first, last = np.concatenate((first, at + 1)), np.concatenate((at, last))
@@ -45,32 +47,30 @@ def split(
     return first, np.append(first[1:], len(cut)) - 1
 
 
-def _farthest(
-    beams: Beams, first: Index, last: Index, laser: LaserConfig, config: SegmentationConfig
-) -> tuple[Index, Mask]:
-    """The point of each run farthest from its chord, and whether it is too far.
+def _farthest(beams: Beams, first: Index, last: Index) -> tuple[Index, Array, Array, Array]:
+    """The point of each run farthest from its chord, that distance, the chord and its incidence.
 
-    The point goes to the left part; a run is never split behind its last point.
+    The point is never the last of its run, as it goes to the left part; distance and the chord's
+    length are metres, the incidence is the cosine of that of the point's beam. All (K,).
     """
     count = last - first + 1
-    index = concatenated_ranges(first, count)
-    starts = np.cumsum(count) - count
-    x, y = beams.x, beams.y
-    tx, ty = x[last] - x[first], y[last] - y[first]
+    stop = np.cumsum(count)
+    starts = stop - count
+    index = np.arange(stop[-1])
+    index += np.repeat(first - starts, count)
+    x0, y0 = beams.x[first], beams.y[first]
+    tx, ty = beams.x[last] - x0, beams.y[last] - y0
     chord = np.sqrt(tx * tx + ty * ty)
-    chord[chord == 0.0] = 1.0
-    nx, ny = -ty / chord, tx / chord
-    d = nx * x[first] + ny * y[first]
-    distance = np.repeat(nx, count)
-    distance *= x[index]
-    term = np.repeat(ny, count)
-    term *= y[index]
+    scale = 1.0 / np.where(chord > 0.0, chord, 1.0)
+    nx, ny = -ty * scale, tx * scale
+    distance = beams.x.take(index, mode="clip")
+    distance *= np.repeat(nx, count)
+    term = beams.y.take(index, mode="clip")
+    term *= np.repeat(ny, count)
     distance += term
-    distance -= np.repeat(d, count)
+    distance -= np.repeat(nx * x0 + ny * y0, count)
     np.abs(distance, out=distance)
     most = np.maximum.reduceat(distance, starts)
     hits = np.flatnonzero(distance == np.repeat(most, count))
     at = np.minimum(index[hits[np.searchsorted(hits, starts)]], last - 1)
-    sigma = laser.sigma_range + laser.sigma_range_scale * beams.r[at]
-    cosine = np.abs(nx * beams.dx[at] + ny * beams.dy[at])
-    return at, most > np.maximum(config.split_floor, config.split_sigmas * sigma * cosine)
+    return at, most, chord, np.abs(nx * beams.dx[at] + ny * beams.dy[at])

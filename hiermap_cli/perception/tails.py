@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiermap_cli.perception.beams import concatenated_ranges
-from hiermap_cli.perception.fitting import few_moments, fit_moments, least_scatter, run_moments
+from hiermap_cli.perception.fitting import few_moments, fit_moments, run_moments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -64,12 +64,12 @@ def gain_points(
         neighbour = np.clip(end + step, 0, total - 1)
         # Points of the same surface were split off on purpose.
         some = np.flatnonzero(free[end + step] & breaks[end if step < 0 else neighbour])
-        fits = _on_line(beams, lines.take(some), end[some, None], step, 1, laser, config)
-        some = some[fits[:, 0]]
-        line, at = lines.take(some), end[some, None]
+        fits = _on_line(beams, lines.take(some), end[some], step, 1, laser, config)
+        some = some[fits[0]]
+        line, at = lines.take(some), end[some]
         fits = _on_line(beams, line, at, step, GAIN, laser, config)
-        fits &= free[np.clip(at + step * np.arange(1, GAIN + 1), 0, total)]
-        out[some] += step * np.minimum.accumulate(fits, axis=1).sum(axis=1)
+        fits &= free[np.clip(at + step * np.arange(1, GAIN + 1)[:, None], 0, total)]
+        out[some] += step * np.logical_and.accumulate(fits, axis=0).sum(axis=0)
     # What two segments both would gain goes to neither.
     shared = np.flatnonzero(low[1:] <= high[:-1])
     low[shared + 1], high[shared] = first[shared + 1], last[shared]
@@ -85,23 +85,23 @@ def _on_line(
     laser: LaserConfig,
     config: SegmentationConfig,
 ) -> Mask:
-    """Which of the `many` next points of ends (K, 1) follow on the lines (K,) without a gap."""
+    """Which of the `many` next points (many, K) of ends (K,) follow on the lines without a gap."""
     total, width = len(beams.cell), beams.ranges.shape[1]
-    point = np.clip(end + step * np.arange(many + 1), 0, total - 1)
-    near, cell = point[:, 1:], beams.cell[point]
-    between = np.abs(np.diff(cell, axis=1)) - 1
+    point = np.clip(end + step * np.arange(many + 1)[:, None], 0, total - 1)
+    near, cell = point[1:], beams.cell[point]
+    between = np.abs(cell[1:] - cell[:-1]) - 1
     fits = (between >= 0) & (between <= config.max_gap_beams)
-    fits &= cell[:, 1:] // width == cell[:, :1] // width
+    fits &= cell[1:] // width == cell[0] // width
     sigma = laser.sigma_range + laser.sigma_range_scale * beams.r[near]
-    nx, ny, d = (v[:, None] for v in lines)
+    nx, ny, d = lines
     off = np.abs(nx * beams.x[near] + ny * beams.y[near] - d)
     cosine = nx * beams.dx[near] + ny * beams.dy[near]
     fits &= off <= np.maximum(0.5 * config.split_floor, config.split_sigmas * sigma * cosine)
     return np.asarray(fits)
 
 
-def inner_lines(members: Members, laser: LaserConfig) -> tuple[Lines, Mask]:
-    """Lines (K,) of the inner points, and which points (M,) at the ends they foretell.
+def inner_lines(members: Members, laser: LaserConfig) -> tuple[Lines, Index]:
+    """Lines (K,) of the inner points, and how many points they do not foretell at each end (K, 2).
 
     A point must lie within the noise of the sensor and of the inner points, and within what the
     latter alone foretell, so that on noiseless data nothing bent remains. Once a point is dropped,
@@ -109,37 +109,33 @@ def inner_lines(members: Members, laser: LaserConfig) -> tuple[Lines, Mask]:
     """
     starts, counts = members.starts, members.counts
     tail = np.clip((counts - 4) // 2, 0, TAIL)
-    step = np.arange(TAIL)
-    asked = step < tail[:, None]
-    # The tails' points, (K, 2 TAIL): of the beginning and of the end, from the inside outwards.
-    head = starts[:, None] + tail[:, None] - 1 - step
-    foot = (starts + counts - tail)[:, None] + step
-    asked = np.concatenate((asked, asked), axis=1)
-    place = np.where(asked, np.concatenate((head, foot), axis=1), starts[:, None])
+    step = np.arange(TAIL)[:, None]
+    # The tails' points, (2 TAIL, K): of the beginning and of the end, from the inside outwards.
+    asked = np.concatenate((step < tail, step < tail))
+    place = np.concatenate((starts + tail - 1 - step, starts + counts - tail + step))
+    place = np.where(asked, place, starts)
     x, y = members.x[place], members.y[place]
     sums = run_moments(members.x, members.y, starts) - few_moments(x, y, asked)
-    lines = fit_moments(sums)
+    lines, scatter = fit_moments(sums)
 
     n = sums[0]
-    freedom = np.maximum(n - 2.0, 1.0)
-    bound = STUDENT[np.clip(n.astype(np.int64) - 2, 1, len(STUDENT)) - 1] ** 2
     mx, my = sums[1] / n, sums[2] / n
-    scatter = least_scatter(sums)
     extent = sums[3] + sums[5] - n * (mx * mx + my * my) - scatter
-    nx, ny = lines.nx[:, None], lines.ny[:, None]
-    residual = nx * x + ny * y - lines.d[:, None]
-    s = nx * (y - my[:, None]) - ny * (x - mx[:, None])
+    nx, ny, d = lines
+    residual = nx * x + ny * y - d
+    s = nx * (y - my) - ny * (x - mx)
     # The foretelling's own error grows with the distance from the inner points.
-    lever = (1.0 + 1.0 / n)[:, None] + s * s / np.maximum(extent, 1e-9)[:, None]
-    spread = np.maximum(scatter / freedom, 1e-12)
+    lever = s * s / np.maximum(extent, 1e-9) + (1.0 + 1.0 / n)
+    spread = np.maximum(scatter / np.maximum(n - 2.0, 1.0), 1e-12)
+    bound = STUDENT[np.clip(n.astype(np.int64) - 2, 1, len(STUDENT)) - 1]
     sigma = laser.sigma_range + laser.sigma_range_scale * members.r[place]
     cosine = nx * members.ux[place] + ny * members.uy[place]
-    limit = np.maximum((sigma * cosine) ** 2, spread[:, None]) * STUDENT[-1] ** 2
-    np.minimum(limit, (bound * spread)[:, None], out=limit)
+    limit = np.maximum((sigma * cosine) ** 2, spread) * STUDENT[-1] ** 2
+    np.minimum(limit, bound * bound * spread, out=limit)
     bad = asked & (residual * residual > limit * lever)
-    some = np.flatnonzero(bad.any(axis=1))
-    foretold = np.ones(len(members.point), dtype=bool)
-    for half in (slice(0, TAIL), slice(TAIL, 2 * TAIL)):
-        drop = np.logical_or.accumulate(bad[some, half], axis=1) & asked[some, half]
-        foretold[place[some, half][drop]] = False
-    return lines, foretold
+    # From the first that is bad on, all that were asked.
+    dropped = [
+        np.where(half.any(axis=0), tail - np.argmax(half, axis=0), 0)
+        for half in (bad[:TAIL], bad[TAIL:])
+    ]
+    return lines, np.stack(dropped, axis=1)
