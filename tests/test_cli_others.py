@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from samples import hiermap, program
+from samples import hiermap, program, write_sample
 
 from hiermap_cli import __version__
 from hiermap_cli.commands.main import COMMANDS
@@ -103,6 +103,18 @@ def test_validate_knows_floor_plans_and_jobs(tmp_path):
     status, _, err = hiermap("validate", jobs)
     assert status == EXIT_USAGE
     assert "did you mean log?" in err
+
+
+def test_validate_takes_a_folder_for_the_documents_in_it(tmp_path):
+    write_sample(tmp_path)
+    (tmp_path / "log.mcap").write_bytes(b"no document")
+    status, out, err = hiermap("validate", tmp_path)
+    assert (status, err) == (EXIT_OK, "")
+    assert len(out.splitlines()) == 6
+    (tmp_path / "empty").mkdir()
+    status, _, err = hiermap("validate", tmp_path / "empty")
+    assert status == EXIT_INPUT
+    assert "no document" in err
 
 
 def test_validate_prints_schemas():

@@ -13,8 +13,10 @@ from hiermap_cli.errors import (
     EXIT_USAGE,
     ConfigurationError,
     HiermapError,
+    InputError,
 )
 
+DOCUMENTS = (".json", ".tum", ".txt", ".yaml", ".yml", ".svg")
 SCHEMAS = ("model", "report", "eval", "reference", "summary", "jobs")
 
 
@@ -26,11 +28,12 @@ def command(files: tuple[Path, ...], schema: str | None) -> None:
 
     Each FILE is recognised by its format key (model.json, report.json, eval.json, reference.json,
     summary.json), by its ending (.tum), by its columns (trajectory_covariance.txt,
-    relations.txt), or, if it is YAML, by its keys (configuration, floor plan, jobs). What holds is
-    said on stdout, each fault on a line of its own on stderr.
+    relations.txt), or, if it is YAML, by its keys (configuration, floor plan, jobs). A folder
+    stands for the documents in it. What holds is said on stdout, each fault on a line of its own
+    on stderr.
 
     \b
-        hiermap validate office.hiermap/* configs/*.yaml
+        hiermap validate office.hiermap configs/*.yaml
 
     Exit status: 0 if all hold, 1 if a document does not, 2 if a configuration, a floor plan or
     jobs have faults.
@@ -42,9 +45,23 @@ def command(files: tuple[Path, ...], schema: str | None) -> None:
         return
     if not files:
         raise click.UsageError("name at least one FILE, or give --schema")
-    statuses = [_check(path) for path in files]
+    statuses = [_check(path) for named in files for path in _documents(named)]
     worst = EXIT_INPUT if EXIT_INPUT in statuses else max(statuses)
     raise click.exceptions.Exit(worst)
+
+
+def _documents(path: Path) -> list[Path]:
+    """The file, or the documents in the folder.
+
+    Raises:
+        InputError: the folder holds none.
+    """
+    if not path.is_dir():
+        return [path]
+    found = sorted(one for one in path.iterdir() if one.suffix in DOCUMENTS)
+    if not found:
+        raise InputError(f"{path}: no document in this folder ({', '.join(DOCUMENTS)})")
+    return found
 
 
 def _check(path: Path) -> int:
