@@ -178,6 +178,16 @@ class AreaConfig(Section):
 
     max_objects: int = Field(300, ge=20, description="walls and ends in one area's state")
     max_extent: Positive = Field(40.0, description="metres from the area's frame")
+    ask_every: Positive = Field(0.5, description="metres of path between questions where it is")
+    ask_sigma: Positive = Field(0.7, description="metres of sigma within which areas are asked for")
+    recent: int = Field(40, ge=1, description="key scans whose walls tell the area")
+    least_walls: int = Field(4, ge=3, description="walls that must fit to know an area again")
+    agree: Positive = Field(0.2, description="metres between two answers that agree")
+    agree_angle: Positive = Field(0.06, description="radians between two answers that agree")
+    agree_path: Positive = Field(0.4, description="metres of path between two witnesses")
+    agree_path_old: Positive = Field(
+        1.4, description="the same where the area left was not begun just now: a door comes first"
+    )
 
 
 class LandmarkConfig(Section):
@@ -197,7 +207,8 @@ class LandmarkConfig(Section):
     )
     jamb_tilt: Positive = Field(0.4, description="radians from the jamb line to a wall along it")
     passage_max_width: Positive = Field(2.2, description="metres, of a passage that was crossed")
-    passage_sigma: Positive = Field(0.1, description="metres; a door known by the way through it")
+    passage_sigma: Positive = Field(0.05, description="metres; a door known by the way through it")
+    passage_depth: Positive = Field(0.1, description="metres across the wall, likewise")
     passage_sigma_theta: Positive = Field(0.2, description="radians, likewise")
     corridor_min_width: Positive = Field(0.8, description="metres between parallel walls")
     corridor_max_width: Positive = Field(4.0, description="metres between parallel walls")

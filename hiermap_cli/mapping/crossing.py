@@ -12,23 +12,38 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import area_from_here
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.passages import Passage, PassageDetector, Trace
-from hiermap_cli.mapping.portals import KnownDoors, Portal, add_anchor, anchor_index
+from hiermap_cli.mapping.places import Places
+from hiermap_cli.mapping.portals import (
+    KnownDoors,
+    Portal,
+    add_anchor,
+    anchor_index,
+    door_frame,
+)
+from hiermap_cli.mapping.recognition import Asked, Recogniser
+from hiermap_cli.mapping.relocation import robot_found
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import Config
     from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.mapping.freespace import Region
     from hiermap_cli.mapping.portals import PortalKind
+    from hiermap_cli.mapping.recognition import Recognised
     from hiermap_cli.perception.sight import Sight
     from hiermap_cli.perception.views import SegmentView
 
     Array = NDArray[np.float64]
 
+NOWHERE = np.zeros(2)
+
 
 class Passing(NamedTuple):
-    """A key scan after the filter has used it: its stamp and number, metres of path since the
-    last one, and what it saw."""
+    """A key scan after the filter has used it.
+
+    Its stamp and number, metres of path since the last one, and what it saw.
+    """
 
     stamp_ns: int
     key: int
@@ -50,12 +65,17 @@ class Crossings:
     portals: list[Portal] = field(default_factory=list)
     current: int = 0
     trace: Trace = field(default_factory=Trace)
+    places: Places = field(default_factory=Places)
     _detector: PassageDetector = field(init=False)
     _doors: KnownDoors = field(init=False)
+    _recogniser: Recogniser = field(init=False)
+    _entered: float = 0.0
+    _began: bool = True
 
     def __post_init__(self) -> None:
         self._detector = PassageDetector(self.config.doors)
         self._doors = KnownDoors(self.config.doors.hysteresis)
+        self._recogniser = Recogniser(self.config)
 
     @property
     def area(self) -> AreaMap:
@@ -64,8 +84,10 @@ class Crossings:
 
     def step(self, now: Passing) -> int:
         """After a key scan: the area in which the robot is from now on."""
-        self.trace.add(self.area.V.robot, now.distance, now.sight)
-        through = self._doors.gone_through(self.area.V.robot)
+        robot = self.area.V.robot
+        self.trace.add(robot, now.distance, now.sight)
+        self.places.look(self.current, self.trace, 2.0 * self.config.doors.reach)
+        through = self._doors.gone_through(robot)
         if through is not None:
             self._reenter(now, through)
             return self.current
@@ -75,34 +97,54 @@ class Crossings:
                 self._enter_new(now, "door", passage)
                 return self.current
             self._event(now, "door_refused", area=self._name(), **_figures(passage))
+        known = self._recognise(now)
+        if known is not None:
+            self._known_again(now, known)
+            return self.current
         c = self.config.areas
-        far = np.hypot(*self.area.V.robot[:2]) > c.max_extent
+        far = np.hypot(*robot[:2]) > c.max_extent
         if far or len(self.area.features.uid) > c.max_objects:
-            frame = se2.compose(self.area.V.robot, np.array([0.0, 0.0, -0.5 * np.pi]))
-            at = Passage(frame, 2.0, self.trace.length, np.zeros(2), np.zeros(2))
+            frame = se2.compose(robot, np.array([0.0, 0.0, -0.5 * np.pi]))
+            at = Passage(frame, 2.0, self.trace.length, NOWHERE, NOWHERE)
             self._enter_new(now, "size", at)
         return self.current
+
+    def finish(self) -> None:
+        """The end of the log: what was seen last belongs to the area where the robot is."""
+        self.places.look(self.current, self.trace, -1.0)
 
     def _enter_new(self, now: Passing, kind: PortalKind, passage: Passage) -> None:
         """A new area, with its frame where the robot is: certain in its own frame."""
         a = self.current
+        self.places.leave(a, self.trace, passage.frame)
         left, anchor_a = add_anchor(self.area, now.key)
         self.areas[a] = left
         V = left.V
-        new, anchor_b = add_anchor(area_from_here(self.area, now.key), now.key)
+        new, anchor_b = add_anchor(area_from_here(left, now.key), now.key)
         self.areas.append(new)
         b = len(self.areas) - 1
         self.portals.append(
             Portal(
-                a, anchor_a, b, anchor_b, kind, se2.between(V.robot, passage.frame), passage.width,
-                float(passage.wall.sum()), float(passage.open.sum()),
-            )  # fmt: skip
+                a,
+                anchor_a,
+                b,
+                anchor_b,
+                kind,
+                se2.between(V.robot, passage.frame),
+                passage.width,
+                float(passage.wall.sum()),
+                float(passage.open.sum()),
+            )
         )
         self._go(b, V.robot)
+        self._began = True
         self._event(
-            now, "area_entered", area=self._name(), door=f"D{len(self.portals)}",
+            now,
+            "area_entered",
+            area=self._name(),
+            door=f"D{len(self.portals)}",
             **_figures(passage),
-        )  # fmt: skip
+        )
 
     def _reenter(self, now: Passing, index: int) -> None:
         """Back through a known door: the robot is placed in the old area by the door's anchors.
@@ -112,6 +154,12 @@ class Crossings:
         """
         p = self.portals[index]
         out_of_a = p.a == self.current
+        self.places.leave(
+            self.current,
+            self.trace,
+            door_frame(self.area, p, from_a=out_of_a),
+            1.0 if out_of_a else -1.0,
+        )
         there = p.b if out_of_a else p.a
         out, into = (p.anchor_a, p.anchor_b) if out_of_a else (p.anchor_b, p.anchor_a)
         V = self.area.V
@@ -121,13 +169,90 @@ class Crossings:
         m = len(V.parameters)
         other = self.areas[there]
         placed = place_robot(
-            other.V, anchor_index(other, into), R_anchor_r, C,
-            V.parameters, V.covariance[3 : 3 + m, 3 : 3 + m],
-        )  # fmt: skip
+            other.V,
+            anchor_index(other, into),
+            R_anchor_r,
+            C,
+            V.parameters,
+            V.covariance[3 : 3 + m, 3 : 3 + m],
+        )
         self.areas[there] = replace(other, V=placed)
         self.portals[index] = replace(p, crossings=p.crossings + 1)
         self._go(there, V.robot)
         self._event(now, "area_reentered", area=self._name(), door=f"D{index + 1}")
+
+    def _recognise(self, now: Passing) -> Recognised | None:
+        """An area known before, if the robot has come back into it unawares."""
+        if not self._recogniser.due(self.trace.length):
+            return None
+        mine = self._same_as(self.current)
+        asked = []
+        for h, R_h_r in self._recogniser.candidates(self.area.V.robot):
+            if h > self.current and h in mine:
+                continue  # of one place the area that was begun first is gone on with
+            region = self.places.region(h, self.areas[h], self.portals)
+            if region.contains(R_h_r[:2]):
+                R_h_c = se2.compose(R_h_r, se2.invert(self.area.V.robot))
+                asked.append(Asked(h, self.areas[h], self._all_along_in(region, R_h_c)))
+        return self._recogniser.ask(self.area, now.key, self.trace.length, asked)
+
+    def _all_along_in(self, region: Region, R_h_c: Array) -> bool:
+        """Whether the robot has been there ever since it began the present area, just now."""
+        return self._began and self.places.within(self.trace, R_h_c, region, self._entered)
+
+    def _same_as(self, area: int) -> set[int]:
+        """Areas that are one place with this one."""
+        found, grown = {area}, True
+        while grown:
+            more = {
+                there
+                for p in self.portals
+                if p.kind == "same"
+                for here, there in ((p.a, p.b), (p.b, p.a))
+                if here in found
+            }
+            grown = not more <= found
+            found |= more
+        return found
+
+    def _known_again(self, now: Passing, known: Recognised) -> None:
+        """On in an area recognised by its walls, which the robot is now known to be in.
+
+        The robot is placed there as uncertain as such a pose is, and both areas keep it as an
+        anchor: a link that no door explains, and a loop of the environment level.
+        """
+        here, there = self.current, known.area
+        region = self.places.region(there, self.areas[there], self.portals)
+        young = self._all_along_in(region, known.R_h_c)
+        self.places.look(here, self.trace, -1.0)
+        left, anchor_a = add_anchor(self.area, now.key)
+        self.areas[here] = left
+        V = left.V
+        m = len(V.parameters)
+        other = self.areas[there]
+        C_parameters = V.covariance[3 : 3 + m, 3 : 3 + m]
+        pose = se2.compose(known.R_h_c, V.robot)
+        found = robot_found(other.V, pose, self.config.relocation)
+        P = found.covariance.copy()
+        P[3 : 3 + m], P[:, 3 : 3 + m] = 0.0, 0.0
+        P[3 : 3 + m, 3 : 3 + m] = C_parameters
+        found = replace(found, parameters=V.parameters, covariance=P)
+        self.areas[there], anchor_b = add_anchor(replace(other, V=found), now.key)
+        kind: PortalKind = "same" if young else "open"
+        self.portals.append(
+            Portal(here, anchor_a, there, anchor_b, kind, np.zeros(3), 0.0, 0.0, 0.0)
+        )
+        self._go(there, V.robot)
+        self._event(
+            now,
+            "area_recognised",
+            area=self._name(),
+            left=f"A{here + 1}",
+            link=kind,
+            explained=known.explained,
+            total=known.total,
+            walls=known.walls,
+        )
 
     def _go(self, area: int, R_here_r: Array) -> None:
         """On in another area, where the robot is placed; in the one left it was at `R_here_r`."""
@@ -137,6 +262,9 @@ class Crossings:
         self._detector.move(R_there_here)
         self._detector.forget_before(self.trace.length)
         self._doors.set(area, self.areas, self.portals)
+        self._recogniser.set(area, self.areas, self.portals, self.trace.length)
+        self._entered = self.trace.length
+        self._began = False
 
     def _name(self) -> str:
         return f"A{self.current + 1}"

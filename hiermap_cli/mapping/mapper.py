@@ -113,6 +113,7 @@ class Mapper:
         """The end of the log: scans that still wait for a key scan get their place."""
         if self._odometry is not None:
             self.trail.finish(self._motion)
+            self.crossings.finish()
 
     def _motion(self, increment: Array) -> Motion:
         """The motion of an odometry increment, by what is known of the odometry so far."""
@@ -179,9 +180,7 @@ class Mapper:
             n.forgotten += forgotten
             self._set(area)
 
-    def _found_again(
-        self, stamp_ns: int, view: SegmentView, step: Step, *, suspect: bool
-    ) -> Step:
+    def _found_again(self, stamp_ns: int, view: SegmentView, step: Step, *, suspect: bool) -> Step:
         """The step taken from where the scan itself says the robot is, where that explains more
         of the scan: a pose found among the walls, or else the prediction with room for error."""
         c = self.config.relocation
@@ -226,7 +225,9 @@ def run_filter(
     stream = iter(blocks)
     first, noise = learn_noise(stream, config)
     learnt = time.process_time()
-    mapper = Mapper(config, noise=noise, noise_rate=config.noise.rate if config.noise.estimate else 0.0)
+    mapper = Mapper(
+        config, noise=noise, noise_rate=config.noise.rate if config.noise.estimate else 0.0
+    )
     for block in chain(first, stream):
         mapper.take(block)
         if progress is not None:
@@ -235,9 +236,7 @@ def run_filter(
     return mapper, {"noise": learnt - started, "filter": time.process_time() - learnt}
 
 
-def learn_noise(
-    stream: Iterator[ScanBlock], config: Config
-) -> tuple[list[ScanBlock], NoiseScale]:
+def learn_noise(stream: Iterator[ScanBlock], config: Config) -> tuple[list[ScanBlock], NoiseScale]:
     """The blocks at the log's beginning, and how large the noise is by a first run over them.
 
     So that the first walls are not entered with a noise that later proves wrong.

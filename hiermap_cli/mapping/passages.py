@@ -68,36 +68,53 @@ class Trace:
     """The last metres of the path and what was seen from there, in the frame of the area."""
 
     travelled: list[float] = field(default_factory=list)
+    turned: list[float] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
     origins: list[Array] = field(default_factory=list)
     ends: list[Array] = field(default_factory=list)
     near: list[Array] = field(default_factory=list)
     length: float = 0.0
+    fresh: int = 0  # of the last scans: not yet taken by `older`
 
     def add(self, pose: Array, step: float, sight: Sight) -> None:
         """A scan taken at `pose` (3,), `step` metres of path after the last one."""
         self.length += step
+        turn_so_far = 0.0
         if self.poses:
-            last = self.poses[-1]
-            turned = abs(float(se2.wrap(pose[2] - last[2])))
+            turned = abs(float(se2.wrap(pose[2] - self.poses[-1][2])))
             if self.length - self.travelled[-1] < APART and turned < APART_ANGLE:
                 return
+            turn_so_far = self.turned[-1] + turned
         c, s = np.cos(pose[2]), np.sin(pose[2])
         turn = np.array([[c, s], [-s, c]])
         origin = pose[:2] + sight.origin @ turn
         ends = pose[:2] + sight.ends @ turn
         d = ends - origin
         self.travelled.append(self.length)
+        self.turned.append(turn_so_far)
         self.poses.append(pose)
         self.origins.append(origin)
         self.ends.append(ends)
         self.near.append(ends[(d * d).sum(axis=1) < NEAR * NEAR])
+        self.fresh += 1
         old = 0
         while self.travelled[old] < self.length - KEPT or len(self.poses) - old > MOST:
             old += 1
         if old:
-            for kept in (self.travelled, self.poses, self.origins, self.ends, self.near):
-                del kept[:old]  # type: ignore[attr-defined]
+            for kept in (
+                self.travelled, self.turned, self.poses, self.origins, self.ends, self.near,
+            ):  # fmt: skip
+                del kept[:old]
+            self.fresh = min(self.fresh, len(self.poses))
+
+    def older(self, behind: float) -> list[int]:
+        """Scans taken more than `behind` metres of path ago; each is told once."""
+        first = len(self.poses) - self.fresh
+        last = int(np.searchsorted(self.travelled, self.length - behind))
+        if last <= first:
+            return []
+        self.fresh = len(self.poses) - last
+        return list(range(first, last))
 
     def move(self, R_b_a: Array) -> None:
         """Into the frame of another area, seen from which the present one is `R_b_a`."""
@@ -159,7 +176,7 @@ class PassageDetector:
         self.heading.append(b - a)
         if len(self.at) > 3 * self.config.reach / SAMPLE + 20:
             for kept in (self.at, self.width, self.jambs, self.heading):
-                del kept[0]  # type: ignore[attr-defined]
+                del kept[0]
 
     def _narrowest(self, trace: Trace) -> Passage | None:
         c = self.config
@@ -224,12 +241,10 @@ def _frame(jambs: Array, heading: Array) -> Array:
     if along[0] * heading[1] - along[1] * heading[0] < 0.0:
         theta += np.pi
     middle = jambs.mean(axis=0)
-    return np.array([middle[0], middle[1], float(se2.wrap(theta))])
+    return np.array([middle[0], middle[1], se2.wrap(np.array(theta))])
 
 
-def aligned(
-    frame: Array, width: float, origins: Array, ends: Array
-) -> tuple[Array, Array, Array]:
+def aligned(frame: Array, width: float, origins: Array, ends: Array) -> tuple[Array, Array, Array]:
     """The frame turned and moved a little so that most wall and least opening lies on its line.
 
     Returns it with metres of wall and of opening beside each jamb.
@@ -256,9 +271,7 @@ def _about(frame: Array, radius: float, origins: Array, ends: Array) -> tuple[Ar
     return origins[near], ends[near]
 
 
-def line_evidence(
-    frame: Array, width: float, origins: Array, ends: Array
-) -> tuple[Array, Array]:
+def line_evidence(frame: Array, width: float, origins: Array, ends: Array) -> tuple[Array, Array]:
     """Metres (2,) of the line beside each jamb that are wall, and that beams have passed.
 
     A piece of the line is wall where beams end on it and (nearly) none passes, open where more

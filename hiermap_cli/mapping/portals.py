@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# A door or opening that people see; a place known to be the same in both; a cut for size.
-PortalKind = Literal["door", "same", "size"]
+# A door or opening that people see; a way between areas that no door explains; a place of one
+# area that was begun anew before it was known again; a cut for size.
+PortalKind = Literal["door", "open", "same", "size"]
 
 ASIDE = 0.35  # metres beside the jambs that the robot's path through a door may seem to be
 
@@ -89,7 +90,7 @@ class KnownDoors:
             (i, p, from_a)
             for i, p in enumerate(portals)
             for from_a in (True, False)
-            if p.kind != "same" and (p.a if from_a else p.b) == area
+            if p.kind in ("door", "size") and (p.a if from_a else p.b) == area
         ]
         self._portal = [i for i, _, _ in sides]
         self._sign = np.array([1.0 if from_a else -1.0 for _, _, from_a in sides])
@@ -116,9 +117,9 @@ class KnownDoors:
                 self._passed.add(int(i))
         if self._passed:
             self._passed -= set(np.flatnonzero(now[:, 1] <= 0.0).tolist())
-        for i in sorted(self._passed):
-            if now[i, 1] > self.hysteresis:
-                return self._portal[i]
+        for k in sorted(self._passed):
+            if now[k, 1] > self.hysteresis:
+                return self._portal[k]
         return None
 
     def near(self, frame: Array, distance: float = 0.8) -> bool:

@@ -1,0 +1,272 @@
+"""The free space of an area: where beams have passed, as a coarse grid, and its outline.
+
+Every area keeps two counts a cell: scans whose beams passed through it, and scans whose beams
+ended in it. The grid is as large as the area, however long the robot stays. What was seen
+through a door belongs to the other side: the region of an area is what of its free cells hangs
+together with the robot's path in it, without going through its doors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
+
+CELL = 0.1  # metres
+PAD = 32  # cells by which a grid grows at least
+SHORT = 0.15  # metres before a beam's end at which free space ends: the end is not sharp
+STEP = 0.08  # metres between the samples of a beam
+ENOUGH = 255
+
+
+class Region(NamedTuple):
+    """Cells of an area: mask (w, h), index (x, y) of its first cell; x = CELL (i + first)."""
+
+    mask: Mask
+    first: tuple[int, int]
+
+    def contains(self, point: Array) -> bool:
+        """Whether a point (2,) lies in it."""
+        i, j = (np.floor(np.asarray(point) / CELL).astype(int) - self.first).tolist()
+        w, h = self.mask.shape
+        return 0 <= i < w and 0 <= j < h and bool(self.mask[i, j])
+
+    def area(self) -> float:
+        """Square metres."""
+        return float(self.mask.sum()) * CELL**2
+
+    def centres(self) -> Array:
+        """Centres (n, 2) of its cells, metres."""
+        return np.asarray(CELL * (np.argwhere(self.mask) + self.first + 0.5), dtype=float)
+
+
+@dataclass(slots=True)
+class FreeGrid:
+    """Counts of an area's cells, in its frame. passed, ended: (w, h) uint8, saturating."""
+
+    passed: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
+    ended: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0), np.uint8))
+    first: tuple[int, int] = (0, 0)
+    scans: int = 0
+
+    def add(self, origin: Array, ends: Array) -> None:
+        """A scan: beams from `origin` (2,) to `ends` (n, 2) in the area's frame."""
+        if not len(ends):
+            return
+        d = ends - origin
+        length = np.hypot(d[:, 0], d[:, 1])
+        samples = np.maximum(((length - SHORT) / STEP).astype(np.int64), 0)
+        total = int(samples.sum())
+        which = np.repeat(np.arange(len(ends)), samples)
+        k = np.arange(total) - np.repeat(np.cumsum(samples) - samples, samples)
+        t = (k + 0.5) * STEP / length[which]
+        free = np.floor((origin + t[:, None] * d[which]) / CELL).astype(np.int64)
+        hit = np.floor(ends / CELL).astype(np.int64)
+        low = np.minimum(hit.min(axis=0), np.floor(origin / CELL).astype(np.int64))
+        high = np.maximum(hit.max(axis=0), np.floor(origin / CELL).astype(np.int64))
+        self._grow(low, high)
+        self.passed = self._counted(self.passed, free)
+        self.ended = self._counted(self.ended, hit)
+        self.scans += 1
+
+    def _counted(self, counts: NDArray[np.uint8], cells: Index) -> NDArray[np.uint8]:
+        """The counts with one more for each of these cells, however often it is named."""
+        once = np.zeros(counts.size, dtype=bool)
+        once[(cells[:, 0] - self.first[0]) * counts.shape[1] + cells[:, 1] - self.first[1]] = True
+        return counts + (once.reshape(counts.shape) & (counts < ENOUGH)).astype(np.uint8)
+
+    def _grow(self, low: Index, high: Index) -> None:
+        shape = self.passed.shape
+        if shape == (0, 0):
+            self.first = (int(low[0]) - PAD // 2, int(low[1]) - PAD // 2)
+        first = np.array(self.first)
+        before = np.where(low < first, first - low + PAD, 0)
+        last = first + shape
+        after = np.where(high >= last, high - last + PAD, 0)
+        if not (before.any() or after.any()):
+            return
+        pad = tuple(zip(before.tolist(), after.tolist(), strict=True))
+        self.passed, self.ended = np.pad(self.passed, pad), np.pad(self.ended, pad)
+        self.first = (int(first[0] - before[0]), int(first[1] - before[1]))
+
+    def free(self) -> Mask:
+        """Cells that beams have passed and at most few have ended in, (w, h)."""
+        return (self.passed > 0) & (2 * self.ended.astype(np.int64) <= self.passed)
+
+    def moved(self, R_b_a: Array) -> FreeGrid:
+        """The grid in another frame, from which the present one is seen as `R_b_a`."""
+        w, h = self.passed.shape
+        if not w * h:
+            return FreeGrid()
+        corners = CELL * (np.array(self.first) + np.array([[0, 0], [w, 0], [0, h], [w, h]]))
+        at = _moved(R_b_a, corners) / CELL
+        low, high = np.floor(at.min(axis=0)).astype(int), np.ceil(at.max(axis=0)).astype(int)
+        size = high - low
+        cells = np.indices(size).reshape(2, -1).T + low + 0.5
+        back = np.floor(_moved(se2.invert(R_b_a), CELL * cells) / CELL).astype(int) - self.first
+        inside = ((back >= 0) & (back < (w, h))).all(axis=1)
+        out = FreeGrid(first=(int(low[0]), int(low[1])), scans=self.scans)
+        taken = back[inside]
+        for name in ("passed", "ended"):
+            counts = np.zeros(len(cells), np.uint8)
+            counts[inside] = getattr(self, name)[taken[:, 0], taken[:, 1]]
+            setattr(out, name, counts.reshape(size))
+        return out
+
+    def joined(self, other: FreeGrid) -> FreeGrid:
+        """The counts of both, in one frame."""
+        if not other.passed.size:
+            return self
+        out = FreeGrid(self.passed, self.ended, self.first, self.scans + other.scans)
+        low = np.array(other.first)
+        out._grow(low, low + other.passed.shape - 1)
+        i, j = (low - out.first).tolist()
+        w, h = other.passed.shape
+        for name in ("passed", "ended"):
+            counts = getattr(out, name).astype(np.int64)
+            counts[i : i + w, j : j + h] += getattr(other, name)
+            setattr(out, name, np.minimum(counts, ENOUGH).astype(np.uint8))
+        return out
+
+    def region(self, path: Array, barriers: Iterable[Array], width: float) -> Region:
+        """What of the free cells hangs together with the path (k, 2), not across a barrier.
+
+        barriers: segments (2, 2). Where the free space is narrower than `width` metres it ends,
+        unless the path goes on there: so what is seen through a door that the robot did not use
+        stays outside.
+        """
+        from scipy import ndimage
+
+        free = self.free()
+        at = self._cells(path)
+        if not free.any() or not len(at):
+            return Region(np.zeros_like(free), self.first)
+        for segment in barriers:
+            cells = self._cells(_along(segment))
+            free[cells[:, 0], cells[:, 1]] = False
+        radius = 0.5 * width / CELL
+        wide = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] > radius
+        way = np.zeros_like(free)
+        way[at[:, 0], at[:, 1]] = True
+        labels, _ = ndimage.label(wide | (way & free), np.ones((3, 3)))
+        mine = np.unique(labels[at[:, 0], at[:, 1]])
+        core = np.isin(labels, mine[mine > 0])
+        if not core.any():
+            return Region(core, self.first)
+        return Region(free & (ndimage.distance_transform_edt(~core) <= radius + 0.5), self.first)
+
+    def _cells(self, points: Array) -> Index:
+        cells = np.floor(points / CELL).astype(np.int64) - self.first
+        return cells[((cells >= 0) & (cells < self.passed.shape)).all(axis=1)]
+
+
+def _along(segment: Array) -> Array:
+    steps = max(2, int(np.hypot(*(segment[1] - segment[0])) / (0.3 * CELL)))
+    way: Array = segment[1] - segment[0]
+    points: Array = segment[0] + np.linspace(0.0, 1.0, steps)[:, None] * way
+    return points
+
+
+def _moved(R_b_a: Array, points: Array) -> Array:
+    c, s = np.cos(R_b_a[2]), np.sin(R_b_a[2])
+    out: Array = R_b_a[:2] + points @ np.array([[c, s], [-s, c]])
+    return out
+
+
+def outline(region: Region, gap: float, detail: float) -> Array:
+    """The outer boundary (m, 2) of a region, counterclockwise, in the area's frame.
+
+    Gaps and holes up to `gap` metres wide, and all holes inside, are taken for free; the
+    boundary is simplified by `detail` metres. Of several pieces the largest is taken; without
+    cells it is empty, (0, 2).
+    """
+    from scipy import ndimage
+
+    if not region.mask.any():
+        return np.zeros((0, 2))
+    radius = max(1, round(0.5 * gap / CELL))
+    grid = np.pad(region.mask, radius + 2)
+    ball = np.hypot(*np.indices((2 * radius + 1,) * 2) - radius) <= radius + 0.5
+    closed = ndimage.binary_fill_holes(ndimage.binary_closing(grid, ball))
+    labels, count = ndimage.label(closed)
+    if count > 1:
+        sizes = np.bincount(labels.ravel())
+        sizes[0] = 0
+        closed = labels == int(np.argmax(sizes))
+    corners = _boundary(closed)
+    points = CELL * (corners + np.array(region.first) - (radius + 2))
+    return simplified(points, detail)
+
+
+def _boundary(mask: Mask) -> Array:
+    """Corners of the cells along the outer boundary of one piece without holes, in order."""
+    i, j = np.nonzero(mask)
+    edges: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    padded = np.pad(mask, 1)
+    # Each side of a cell that has nothing beyond it, run through with the cell on the left.
+    for di, dj, start, stop in (
+        (0, -1, (0, 0), (1, 0)),
+        (1, 0, (1, 0), (1, 1)),
+        (0, 1, (1, 1), (0, 1)),
+        (-1, 0, (0, 1), (0, 0)),
+    ):
+        open_ = ~padded[i + 1 + di, j + 1 + dj]
+        for a, b in zip(i[open_].tolist(), j[open_].tolist(), strict=True):
+            key = (a + start[0], b + start[1])
+            edges.setdefault(key, []).append((a + stop[0], b + stop[1]))
+    first = min(edges)
+    loop, at = [first], edges[first].pop()
+    before = first
+    while at != first:
+        loop.append(at)
+        ways = edges[at]
+        # Where two cells touch at a corner only, turn left: the piece stays one.
+        way = 0
+        if len(ways) > 1:
+            d = (at[0] - before[0], at[1] - before[1])
+            left = (at[0] - d[1], at[1] + d[0])
+            way = ways.index(left) if left in ways else 0
+        before, at = at, ways.pop(way)
+    return np.array(loop, dtype=float)
+
+
+def simplified(ring: Array, detail: float) -> Array:
+    """A closed ring (n, 2) with no more points than needed to stay within `detail` metres."""
+    if len(ring) < 4:
+        return ring
+    far = int(np.argmax(np.hypot(*(ring - ring[0]).T)))
+    first = _thinned(ring[: far + 1], detail)
+    second = _thinned(np.vstack((ring[far:], ring[:1])), detail)
+    return np.vstack((first[:-1], second[:-1]))
+
+
+def _thinned(line: Array, detail: float) -> Array:
+    """Douglas and Peucker's thinning of an open line."""
+    keep = np.zeros(len(line), dtype=bool)
+    keep[[0, -1]] = True
+    waiting = [(0, len(line) - 1)]
+    while waiting:
+        a, b = waiting.pop()
+        if b - a < 2:
+            continue
+        chord = line[b] - line[a]
+        d = line[a + 1 : b] - line[a]
+        span = float(np.hypot(*chord))
+        off = np.hypot(*d.T) if span < 1e-9 else np.abs(d @ [-chord[1], chord[0]]) / span
+        i = int(np.argmax(off))
+        if off[i] > detail:
+            keep[a + 1 + i] = True
+            waiting += [(a, a + 1 + i), (a + 1 + i, b)]
+    return line[keep]

@@ -1,0 +1,111 @@
+"""The free space of every area while the log is read: which area each scan belongs to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.freespace import CELL, FreeGrid, Region
+from hiermap_cli.mapping.portals import door_frame
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.mapping.passages import Trace
+    from hiermap_cli.mapping.portals import Portal
+
+    Array = NDArray[np.float64]
+
+APART, APART_ANGLE = 0.25, 0.35  # metres or radians between scans that are looked at
+BESIDE = 0.3  # metres beyond a door's jambs that are barred too
+DOOR = 1.0  # metres: through a gap no wider than this one sees another area
+
+
+@dataclass(slots=True)
+class Places:
+    """A grid of free space and the cells of the robot's path for each area.
+
+    A scan is looked at when the path has gone on so far that any door between is known: so what
+    the robot saw after a door is the next area's, although it learned of the door later.
+    """
+
+    grids: dict[int, FreeGrid] = field(default_factory=dict)
+    paths: dict[int, set[tuple[int, int]]] = field(default_factory=dict)
+    _last: tuple[float, float] = (-np.inf, 0.0)
+    _regions: dict[int, tuple[int, int, Region]] = field(default_factory=dict)
+
+    def look(self, area: int, trace: Trace, behind: float) -> None:
+        """Scans taken more than `behind` metres of path ago belong to this area."""
+        for i in trace.older(behind):
+            self._take(area, trace, i)
+
+    def leave(self, area: int, trace: Trace, door: Array, sign: float = 1.0) -> None:
+        """The robot has gone out by a door (3,), in the direction of `sign` times its Y.
+
+        Scans taken before it belong to this area, those after it to the next one.
+        """
+        first = len(trace.poses) - trace.fresh
+        beyond = [
+            sign * se2.between(door, trace.poses[i])[1] > 0.0
+            for i in range(first, len(trace.poses))
+        ]
+        before = len(beyond)
+        while before and beyond[before - 1]:
+            before -= 1
+        for i in range(first, first + before):
+            self._take(area, trace, i)
+        trace.fresh -= before
+
+    def _take(self, area: int, trace: Trace, i: int) -> None:
+        pose, at = trace.poses[i], trace.travelled[i]
+        path = self.paths.setdefault(area, set())
+        x, y = np.floor(pose[:2] / CELL).astype(int).tolist()
+        path.add((x, y))
+        turned = trace.turned[i]
+        if at - self._last[0] < APART and abs(turned - self._last[1]) < APART_ANGLE:
+            return
+        self._last = (at, turned)
+        grid = self.grids.setdefault(area, FreeGrid())
+        grid.add(trace.origins[i], trace.ends[i])
+
+    def region(self, area: int, map_: AreaMap, portals: Sequence[Portal]) -> Region:
+        """The free space of an area within its doors, in its frame."""
+        grid = self.grids.get(area)
+        if grid is None:
+            return Region(np.zeros((0, 0), dtype=bool), (0, 0))
+        doors = door_barriers(area, map_, portals)
+        known = self._regions.get(area)
+        if known is not None and known[:2] == (grid.scans, len(doors)):
+            return known[2]
+        path = CELL * (np.array(sorted(self.paths[area])) + 0.5)
+        region = grid.region(path, doors, DOOR)
+        self._regions[area] = (grid.scans, len(doors), region)
+        return region
+
+    def within(self, trace: Trace, R_h_c: Array, region: Region, since: float) -> bool:
+        """Whether all the path since `since` lies in a region of another area."""
+        first = int(np.searchsorted(trace.travelled, since))
+        if since < trace.travelled[0]:
+            return False
+        poses = se2.compose(R_h_c, np.array(trace.poses[first:]))
+        inside = sum(region.contains(pose[:2]) for pose in poses)
+        return inside >= 0.8 * len(poses)
+
+
+def door_barriers(area: int, map_: AreaMap, portals: Sequence[Portal]) -> list[Array]:
+    """The doors of an area as segments (2, 2) in its frame, a little wider than they are."""
+    out = []
+    for p in portals:
+        for side in (True, False):
+            if p.kind == "door" and (p.a if side else p.b) == area:
+                half = 0.5 * p.width + BESIDE
+                R = door_frame(map_, p, from_a=side)
+                ends = np.array([[-half, 0.0, 0.0], [half, 0.0, 0.0]])
+                out.append(se2.compose(R, ends)[:, :2])
+    return out

@@ -1,0 +1,252 @@
+"""Is the area in which the robot has come an area that it knows already (section 4 of figure 1)?
+
+The anchors of the portals tell where every other area lies from here, the worse the longer the
+way there. Where the robot stands in the free space of another area by that, the walls that it
+has mapped here lately are laid on the walls of the other area, as `relocation` does with the
+segments of one scan. They tell the place when at least four walls fit, not all parallel, and
+no other place near by fits about as well; and it is believed when the same is found twice, with
+some path in between.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.estimation.stochastic_map import relative_covariance
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.area_map import WALL
+from hiermap_cli.mapping.portals import anchor_index
+from hiermap_cli.mapping.relocation import area_lines, relocate
+from hiermap_cli.perception.views import SegmentView
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import AreaConfig, Config
+    from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.mapping.portals import Portal
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+
+class Relative(NamedTuple):
+    """Frame of another area seen from here.
+
+    pose: R_c_h (3,). covariance: (3, 3) of `log(R_c_h R_c_h_hat^-1)`, in this area's frame.
+    """
+
+    pose: Array
+    covariance: Array
+
+    def at(self, point: Array) -> float:
+        """Standard deviation (metres) of where a point (2,) of this area lies in the other."""
+        J = np.array([[1.0, 0.0, -point[1]], [0.0, 1.0, point[0]]])
+        return float(np.sqrt(np.trace(J @ self.covariance @ J.T)))
+
+
+def relative_frames(
+    here: int, areas: Sequence[AreaMap], portals: Sequence[Portal]
+) -> dict[int, Relative]:
+    """Where the frames of all other areas lie, each by the way that tells it best."""
+    doors: dict[int, list[tuple[int, int, int]]] = {}
+    for p in portals:
+        doors.setdefault(p.a, []).append((p.anchor_a, p.b, p.anchor_b))
+        doors.setdefault(p.b, []).append((p.anchor_b, p.a, p.anchor_a))
+    found: dict[int, Relative] = {}
+    # (cost, tie, area, anchor by which it is entered, that anchor seen from here)
+    waiting: list[tuple[float, int, int, int, Relative]] = []
+    ties = 0
+
+    def leave(area: int, entered: int, at: Relative) -> None:
+        nonlocal ties
+        V = areas[area].V
+        for out, there, into in doors.get(area, ()):
+            if there in found or there == here:
+                continue
+            j = anchor_index(areas[area], out)
+            R, C = _between(areas[area], entered, j)
+            Ad = se2.adjoint(at.pose)
+            pose = se2.compose(at.pose, R)
+            reached = Relative(pose, at.covariance + Ad @ C @ Ad.T)
+            ties += 1
+            heapq.heappush(waiting, (reached.at(V.robot[:2]), ties, there, into, reached))
+
+    leave(here, -1, Relative(np.zeros(3), np.zeros((3, 3))))
+    while waiting:
+        _, _, area, anchor, at = heapq.heappop(waiting)
+        if area in found:
+            continue
+        k = anchor_index(areas[area], anchor)
+        R, C = _between(areas[area], -1, k)
+        frame = se2.compose(at.pose, se2.invert(R))
+        Ad = se2.adjoint(frame)
+        found[area] = Relative(frame, at.covariance + Ad @ C @ Ad.T)
+        leave(area, k, at)
+    return found
+
+
+def _between(area: AreaMap, i: int, j: int) -> tuple[Array, Array]:
+    """Pose j seen from pose i of an area (-1: from its frame), and its covariance there."""
+    V = area.V
+    if i >= 0:
+        return se2.between(V.poses[i], V.poses[j]), relative_covariance(V, i, j)
+    T, where = V.invariant_D_error(V.poses[j]), V.columns(j)
+    return V.poses[j], T @ V.covariance[where, where] @ T.T
+
+
+class Asked(NamedTuple):
+    """An area that this may be. young: the robot has been in it ever since it began this one."""
+
+    number: int
+    area: AreaMap
+    young: bool
+
+
+class Recognised(NamedTuple):
+    """An area in which the robot is: its index, and this area's frame seen from its, R_h_c."""
+
+    area: int
+    R_h_c: Array
+    explained: float
+    total: float
+    walls: int
+
+
+@dataclass(slots=True)
+class Recogniser:
+    """Asks now and then whether the robot is in another area than the one it maps."""
+
+    config: Config
+    frames: dict[int, Relative] = field(default_factory=dict)
+    _asked: float = 0.0
+    _before: dict[int, tuple[float, Recognised]] = field(default_factory=dict)
+
+    def set(
+        self, here: int, areas: Sequence[AreaMap], portals: Sequence[Portal], travelled: float
+    ) -> None:
+        """The robot is in this area from now on."""
+        self.frames = relative_frames(here, areas, portals)
+        self._asked = travelled
+        self._before = {}
+
+    def due(self, travelled: float) -> bool:
+        """Whether there is reason to ask again: some path since the last time."""
+        return travelled - self._asked >= self.config.areas.ask_every
+
+    def candidates(self, robot: Array) -> list[tuple[int, Array]]:
+        """Areas whose place here is known well enough, with the robot's pose (3,) there."""
+        return [
+            (h, se2.between(frame.pose, robot))
+            for h, frame in sorted(self.frames.items())
+            if frame.at(robot[:2]) < self.config.areas.ask_sigma
+        ]
+
+    def ask(
+        self, here: AreaMap, key: int, travelled: float, asked: Sequence[Asked]
+    ) -> Recognised | None:
+        """Which one of the areas asked for this is, if the same was found before."""
+        self._asked = travelled
+        c = self.config.areas
+        view, extent = lately_seen(here, key, c)
+        if len(view.length) < c.least_walls:
+            return None
+        answers = []
+        for h, area, young in asked:
+            found = self._match(h, area, view, extent)
+            if found is None:
+                self._before.pop(h, None)
+                continue
+            if h not in self._before:
+                self._before[h] = (travelled, found)
+            else:
+                first, before = self._before[h]
+                off = se2.between(before.R_h_c, found.R_h_c)
+                here_at = se2.compose(found.R_h_c, here.V.robot) - se2.compose(
+                    before.R_h_c, here.V.robot
+                )
+                if np.hypot(*here_at[:2]) > c.agree or abs(off[2]) > c.agree_angle:
+                    self._before[h] = (travelled, found)
+                elif travelled - first >= (c.agree_path if young else c.agree_path_old):
+                    answers.append(found)
+        return max(answers, key=lambda found: found.explained, default=None)
+
+    def _match(self, h: int, area: AreaMap, view: SegmentView, extent: Array) -> Recognised | None:
+        c = self.config
+        frame = self.frames[h]
+        R_h_c = se2.invert(frame.pose)
+        Ad = se2.adjoint(R_h_c)
+        found = relocate(
+            _seen_from(area, R_h_c, Ad @ frame.covariance @ Ad.T, extent), view, c.relocation,
+            suspect=False,
+        )  # fmt: skip
+        if found is None:
+            return None
+        R_h_c = se2.compose(found.pose, se2.invert(np.array([*extent, 0.0])))
+        walls = walls_explained(area, view, found.pose, c)
+        if walls < c.areas.least_walls:
+            return None
+        return Recognised(h, R_h_c, found.explained, found.total, walls)
+
+
+def lately_seen(area: AreaMap, key: int, config: AreaConfig) -> tuple[SegmentView, Array]:
+    """Walls mapped in an area over the last key scans, as if they were segments of one scan.
+
+    It is taken where the robot is, with the area's heading; returns that place (2,) too.
+    """
+    f = area.features
+    walls = np.flatnonzero((f.kind == WALL) & (f.last >= key - config.recent) & (f.seen >= 2))
+    X = area.V.poses[1 + walls]
+    lo, hi = f.lo[walls], f.hi[walls]
+    direction = np.column_stack((np.cos(X[:, 2]), np.sin(X[:, 2])))
+    middle: Array = area.V.robot[:2].copy()
+    centre = X[:, :2] + (0.5 * (lo + hi))[:, None] * direction - middle
+    half = (0.5 * (hi - lo))[:, None] * direction
+    n = len(walls)
+    view = SegmentView(
+        centre, X[:, 2], np.zeros(n), np.zeros(n), np.stack((centre - half, centre + half), axis=1),
+        np.zeros((n, 2), dtype=np.int64), np.zeros((n, 2)), hi - lo,
+    )  # fmt: skip
+    return view, middle
+
+
+def _seen_from(area: AreaMap, R_h_c: Array, C: Array, middle: Array) -> AreaMap:
+    """The area with its robot where a robot at `middle` of the other area would be.
+
+    C is the covariance of `log(R_h_c R_h_c_hat^-1)`. The sensor's offset is none.
+    """
+    V = area.V
+    pose = se2.compose(R_h_c, np.array([*middle, 0.0]))
+    poses, P = V.poses.copy(), V.covariance.copy()
+    poses[0] = pose
+    T = se2.additive_D_invariant(pose) if V.coordinates == "additive" else np.eye(3)
+    P[:3], P[:, :3] = 0.0, 0.0
+    P[:3, :3] = T @ C @ T.T
+    return replace(
+        area, V=replace(V, poses=poses, covariance=P, parameters=np.zeros_like(V.parameters))
+    )
+
+
+def walls_explained(area: AreaMap, view: SegmentView, pose: Array, config: Config) -> int:
+    """How many walls of the view lie on walls of the area at this pose; 0 if all are parallel."""
+    lines = area_lines(area, config.relocation.least_seen)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    ends = pose[:2] + view.ends @ np.array([[c, s], [-s, c]])
+    across = np.abs(ends @ lines.normal.T - lines.offset).max(axis=1)
+    direction = np.column_stack((lines.normal[:, 1], -lines.normal[:, 0]))
+    along = ends @ direction.T
+    overlap = np.minimum(along.max(axis=1), lines.hi) - np.maximum(along.min(axis=1), lines.lo)
+    angle = np.abs(se2.wrap(view.theta[:, None] + pose[2] - lines.theta))
+    r = config.relocation
+    fits = (across < r.max_offset) & (angle < r.max_angle) & (overlap > 0.3 * view.length[:, None])
+    explained = np.flatnonzero(fits.any(axis=1))
+    theta = view.theta[explained]
+    if len(theta) < 2 or np.abs(np.sin(theta[:, None] - theta)).max() < 0.5:
+        return 0
+    return len(explained)
