@@ -93,7 +93,12 @@ def wall_pairs(
     config: AssociationConfig,
     min_length: float,
 ) -> Pairs:
-    """Pairs within angle, offset and extent, gated by chi-square with 2 degrees of freedom."""
+    """Pairs within angle, offset and extent, gated by chi-square with 2 degrees of freedom.
+
+    Segment and wall are compared as each lies to the robot: by its distance from the robot and
+    its reach along itself from the foot of the perpendicular, which an error of the robot's
+    heading does not change.
+    """
     f = area.features
     walls = np.flatnonzero(f.kind == WALL)
     segments = np.flatnonzero(view.length >= min_length)
@@ -101,14 +106,18 @@ def wall_pairs(
     if not len(walls) or not len(segments):
         return none
     F = frames.select(walls)
-    dtheta = se2.wrap(view.theta[segments, None] - F.theta)
-    ends = view.ends[segments]
-    dx, dy = ends[:, :, :1] - F.x, ends[:, :, 1:] - F.y  # (s, 2, w)
-    x, y = F.cos * dx + F.sin * dy, F.cos * dy - F.sin * dx
-    gap = np.maximum(f.lo[walls] - x.max(axis=1), x.min(axis=1) - f.hi[walls])
+    foot, aside = F.cos * F.x + F.sin * F.y, F.sin * F.x - F.cos * F.y
+    theta = view.theta[segments]
+    c, s = np.cos(theta), np.sin(theta)
+    centre, ends = view.centre[segments], view.ends[segments]
+    along = c[:, None] * ends[..., 0] + s[:, None] * ends[..., 1]
+    offset = s * centre[:, 0] - c * centre[:, 1]
+    gap = np.maximum(
+        foot + f.lo[walls] - along[:, 1:], along[:, :1] - (foot + f.hi[walls])
+    )
     i, j = np.nonzero(
-        (np.abs(dtheta) < config.max_angle)
-        & (np.abs(y[:, 0] + y[:, 1]) < 2.0 * config.max_offset)
+        (np.abs(se2.wrap(theta[:, None] - F.theta)) < config.max_angle)
+        & (np.abs(offset[:, None] - aside) < config.max_offset)
         & (gap < config.max_gap)
     )
     if not len(i):
