@@ -19,7 +19,7 @@ from hiermap_cli.mapping.doors import (
     passages,
 )
 from hiermap_cli.mapping.duplicates import Placed, duplicates, place_draft
-from hiermap_cli.mapping.joining import JoinedArea, join
+from hiermap_cli.mapping.joining import JoinedArea, join, same_places
 from hiermap_cli.mapping.landmarks import (
     Draft,
     find_landmarks,
@@ -51,6 +51,15 @@ if TYPE_CHECKING:
     from hiermap_cli.mapping.portals import Portal
 
     Array = NDArray[np.float64]
+
+
+class AreaDrafts(NamedTuple):
+    """An area with the landmarks that it shows; `doors`: which of them is a portal's."""
+
+    area: JoinedArea
+    drafts: list[Draft]
+    doors: dict[int, int]
+    dropped: int
 
 
 class FoundArea(NamedTuple):
@@ -87,7 +96,7 @@ def assemble(mapper: Mapper) -> MapResult:
         raise InputError("the log holds no scan to map; `hiermap inspect` shows what it holds")
     mapper.finish()
     levels = compose_levels(mapper)
-    parts = [(i,) for i in range(len(mapper.areas))]
+    parts = same_places(len(mapper.areas), mapper.portals)
     found = _find(mapper, levels, parts)
     doors = _doors(mapper.portals, levels, found)
     areas = tuple(_area(mapper, levels, found, i, doors) for i in range(len(found)))
@@ -112,49 +121,55 @@ def _find(mapper: Mapper, levels: Levels, parts: Sequence[tuple[int, ...]]) -> l
     last_seen = {area: k for k, area in enumerate(mapper.trail.area)}
     last_seen[mapper.current] = len(mapper.trail.area)
     config: LandmarkConfig = mapper.config.landmarks
-    every: list[tuple[JoinedArea, list[Draft], dict[int, int], int]] = []
+    every: list[AreaDrafts] = []
     for members in parts:
         last = max(members, key=lambda p: last_seen.get(p, -1))
         area = join(maps, mapper.portals, members, last)
         sides = door_sides(area, mapper.portals)
         walls = wall_lines(area.map.V, area.map.features, config, passages(area, sides))
         choice = find_landmarks(walls, config)
-        drafts, doors = door_drafts(area, sides, choice.kept, config)
-        every.append((area, drafts, doors, choice.dropped))
+        drafts, doors = door_drafts(area, walls, sides, choice.kept, config)
+        every.append(AreaDrafts(area, drafts, doors, choice.dropped))
     again = _again(levels, every, config)
     found: list[FoundArea] = []
     first = 1
-    for i, (area, drafts, doors, dropped) in enumerate(every):
-        kept = [k for k in range(len(drafts)) if (i, k) not in again]
-        left = tuple(drafts[k] for k in kept)
-        doors = {portal: kept.index(k) for portal, k in doors.items()}
-        C = joint_covariance(area.map.V, left)
-        dropped += len(drafts) - len(left)
-        found.append(FoundArea(area, left, doors, C, first, dropped))
-        first += len(left)
+    for one, twice in zip(every, again, strict=True):
+        kept = [k for k in range(len(one.drafts)) if k not in twice]
+        drafts = [one.drafts[k] for k in kept]
+        found.append(
+            FoundArea(
+                area=one.area,
+                drafts=tuple(drafts),
+                doors={portal: kept.index(k) for portal, k in one.doors.items()},
+                covariance=joint_covariance(one.area.map.V, drafts),
+                first=first,
+                dropped=one.dropped + len(twice),
+            )
+        )
+        first += len(kept)
     return found
 
 
-def _again(
-    levels: Levels,
-    every: Sequence[tuple[JoinedArea, list[Draft], dict[int, int], int]],
-    config: LandmarkConfig,
-) -> set[tuple[int, int]]:
-    """Landmarks, as (area, draft), that another area has too, and has better."""
+def _again(levels: Levels, every: Sequence[AreaDrafts], config: LandmarkConfig) -> list[set[int]]:
+    """Of each area the landmarks that are there once more, and better."""
     placed: list[Placed] = []
     index: list[tuple[int, int]] = []
-    for i, (area, drafts, doors, _) in enumerate(every):
-        root = area.parts[0]
+    for i, one in enumerate(every):
+        root = one.area.parts[0]
         frame = levels.frames[root]
         J = se2.additive_D_invariant(frame)
         C_frame = J @ levels.frame_covariance(root) @ J.T
-        C = joint_covariance(area.map.V, drafts)
-        for k, draft in enumerate(drafts):
+        C = joint_covariance(one.area.map.V, one.drafts)
+        for k, draft in enumerate(one.drafts):
             at = slice(3 + 3 * k, 6 + 3 * k)
-            fixed = k in doors.values()
+            fixed = k in one.doors.values()
             placed.append(place_draft(i, draft, frame, C_frame, C[at, at], fixed=fixed))
             index.append((i, k))
-    return {index[k] for k in duplicates(placed, config)}
+    twice: list[set[int]] = [set() for _ in every]
+    for j in duplicates(placed, config):
+        i, k = index[j]
+        twice[i].add(k)
+    return twice
 
 
 def _landmarks(found: FoundArea, i: int) -> list[LandmarkModel]:
@@ -299,8 +314,9 @@ def _events(
         details = dict(event.details)
         if "door" in details:
             details["door"] = door_ids.get(details["door"])
-        if "area" in details:
-            details["area"] = area_ids[details["area"]]
+        for key in ("area", "left"):
+            if key in details:
+                details[key] = area_ids[details[key]]
         events.append(Event(event.stamp_ns, event.kind, details))
     return tuple(events)
 

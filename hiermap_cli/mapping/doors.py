@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.estimation.gaussian import symmetrise
-from hiermap_cli.geometry import se2
+from hiermap_cli.geometry import points, se2
 from hiermap_cli.mapping.landmarks import Draft
 from hiermap_cli.mapping.portals import anchor_index
-from hiermap_cli.perception.kinds.rules import POSE, PointShape
+from hiermap_cli.perception.kinds.lineset import offset_of
+from hiermap_cli.perception.kinds.rules import POSE, PointShape, SegmentShape, exact_segment
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from hiermap_cli.config import LandmarkConfig
     from hiermap_cli.mapping.joining import JoinedArea
     from hiermap_cli.mapping.portals import Portal
+    from hiermap_cli.mapping.walls import WallLines
+    from hiermap_cli.perception.kinds.lineset import LineSet
 
     Array = NDArray[np.float64]
 
@@ -70,7 +73,11 @@ def passages(area: JoinedArea, sides: Sequence[Side]) -> Array:
 
 
 def door_drafts(
-    area: JoinedArea, sides: Sequence[Side], drafts: Sequence[Draft], config: LandmarkConfig
+    area: JoinedArea,
+    walls: WallLines,
+    sides: Sequence[Side],
+    drafts: Sequence[Draft],
+    config: LandmarkConfig,
 ) -> tuple[list[Draft], dict[int, int]]:
     """The area's landmarks with one for each of its doors, and which one it is, by portal.
 
@@ -88,39 +95,97 @@ def door_drafts(
                 best, nearest = i, apart
         if best < 0:
             best = len(out)
-            out.append(_passed(area, side, config))
+            out.append(_passed(area, walls, side, config))
         index[side.portal] = best
     return out, index
 
 
-def _passed(area: JoinedArea, side: Side, config: LandmarkConfig) -> Draft:
-    """A door landmark from the robot's way through it, as uncertain as that is."""
+def _passed(area: JoinedArea, walls: WallLines, side: Side, config: LandmarkConfig) -> Draft:
+    """A door landmark from the robot's way through it, and a wall beside it if there is one.
+
+    The way tells where along the wall the opening is, and how wide; the wall, where it was
+    mapped, tells the rest better.
+    """
     V = area.map.V
     anchor = V.poses[side.anchor]
-    pose = se2.compose(anchor, side.R_anchor_d)
+    passed = se2.compose(anchor, side.R_anchor_d)
     by_state = np.zeros((3, len(V.covariance)))
-    by_state[:, V.columns(side.anchor)] = se2.additive_D_invariant(pose) @ V.invariant_D_error(
+    by_state[:, V.columns(side.anchor)] = se2.additive_D_invariant(passed) @ V.invariant_D_error(
         anchor
     )
-    sigma = np.array([config.passage_sigma, config.passage_sigma, config.passage_sigma_theta])
+    sigma = np.array([config.passage_sigma, config.passage_depth, config.passage_sigma_theta])
+    half = np.array([0.5 * side.width, 0.0])
+    shape: tuple[SegmentShape | PointShape, ...] = (PointShape(half), PointShape(-half))
+    pose, beside = passed, _beside(walls.lines, passed, side.width, config)
+    if beside is not None:
+        S = walls.lines.hesse[beside]
+        pose = on_wall(passed, S)
+        by_pose, by_line = on_wall_D_passed(S), on_wall_D_line(passed, S)
+        rows = walls.by_state[4 * beside : 4 * beside + 2]
+        by_state = by_pose @ by_state + by_line @ rows
+        sigma = np.array([config.passage_sigma, 0.0, 0.0])
+        shape = (*shape, exact_segment(pose, walls.lines, beside))
     turn = np.eye(3)
     turn[:2, :2] = se2.rotation(pose[2])
-    half = np.array([0.5 * side.width, 0.0])
     jamb = np.diag([config.passage_sigma, 0.0]) ** 2
-    shape_noise = np.block([[jamb, -jamb], [-jamb, jamb]])  # only the width between them is open
+    shape_noise = np.zeros((2 * len(shape), 2 * len(shape)))
+    shape_noise[:4, :4] = np.block([[jamb, -jamb], [-jamb, jamb]])  # the width between them
     return Draft(
         kind="door",
         binds=POSE,
         pose=pose,
         pose_by_state=by_state,
         pose_noise=turn @ np.diag(sigma**2) @ turn.T,
-        shape=(PointShape(half), PointShape(-half)),
-        shape_by_state=np.zeros((4, len(V.covariance))),
+        shape=shape,
+        shape_by_state=np.zeros((2 * len(shape), len(V.covariance))),
         shape_noise=shape_noise,
         observations=config.least_seen,
         utility=config.min_utility,
-        lines=(),
+        lines=() if beside is None else (beside,),
     )
+
+
+def _beside(lines: LineSet, door: Array, width: float, config: LandmarkConfig) -> int | None:
+    """The longest wall that runs along the line between the jambs and reaches one of them."""
+    if not len(lines):
+        return None
+    along = np.abs(se2.wrap(lines.theta - door[2] - np.pi)) < config.jamb_tilt
+    ends = points.h(se2.invert(door), lines.ends)
+    # p2 leads to the jamb at positive X, p1 from the other; either may seem to overhang it.
+    u = np.column_stack((-ends[:, 0, 0], ends[:, 1, 0])) - 0.5 * width
+    near = (np.abs(u) < config.jamb_radius) & (np.abs(ends[..., 1]) < config.jamb_radius)
+    fits = np.flatnonzero(along & near.any(axis=1) & (lines.length > config.jamb_radius))
+    return int(fits[np.argmax(lines.length[fits])]) if len(fits) else None
+
+
+def _normal(hesse: Array) -> Array:
+    return np.array([np.cos(hesse[0]), np.sin(hesse[0])])
+
+
+def on_wall(passed: Array, hesse: Array) -> Array:
+    """R_a_d (3,) of a door on its wall, beside where it was passed."""
+    foot = passed[:2] - offset_of(hesse, passed[:2]) * _normal(hesse)
+    return np.append(foot, se2.wrap(hesse[0] - 0.5 * np.pi))
+
+
+def on_wall_D_passed(hesse: Array) -> Array:
+    """d (the door's pose on its wall) / d (the pose (3,) at which it was passed), (3, 3)."""
+    t = np.array([-np.sin(hesse[0]), np.cos(hesse[0])])
+    J = np.zeros((3, 3))
+    J[:2, :2] = np.outer(t, t)
+    return J
+
+
+def on_wall_D_line(passed: Array, hesse: Array) -> Array:
+    """d (the door's pose on its wall) / d (alpha, d) of the wall, (3, 2)."""
+    n = _normal(hesse)
+    t = np.array([-n[1], n[0]])
+    P = passed[:2]
+    J = np.zeros((3, 2))
+    J[:2, 0] = (hesse[1] - n @ P) * t - (t @ P) * n
+    J[:2, 1] = n
+    J[2, 0] = 1.0
+    return J
 
 
 class DoorInG(NamedTuple):

@@ -1,7 +1,8 @@
-"""Landmarks that two areas have: seen from one of them through a door, or in a place known twice.
+"""Landmarks found twice: seen from another area through a door, or in a place known twice.
 
 A landmark belongs to one area. Where two areas show the same one, the area that is the better
-judge of it keeps it: the one to whose robot it was worth more.
+judge of it keeps it: the one to whose robot it was worth more. Within an area the same holds of
+walls that the filter has twice.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _FARTHEST = 0.4  # metres between two sightings of one point, however uncertain their areas are
-_COVERED = 0.7  # of a wall's length that another area's landmarks have, to be the same
+_ALIKE = 0.7  # cosine between the sides on which two landmarks have their material
+_COVERED = 0.7  # of a wall's length that another landmark has, to be the same
 
 
 class Placed(NamedTuple):
@@ -69,7 +71,7 @@ def place_draft(
 
 
 def duplicates(landmarks: Sequence[Placed], config: LandmarkConfig) -> set[int]:
-    """Indices of the landmarks that another area has too, and has better."""
+    """Indices of the landmarks that are there once more, and better."""
     order = sorted(
         range(len(landmarks)), key=lambda i: (not landmarks[i].fixed, -landmarks[i].utility, i)
     )
@@ -77,10 +79,10 @@ def duplicates(landmarks: Sequence[Placed], config: LandmarkConfig) -> set[int]:
     dropped: set[int] = set()
     for i in order:
         one = landmarks[i]
-        others = [landmarks[j] for j in kept if landmarks[j].area != one.area]
+        others = [landmarks[j] for j in kept]
         same = _again(one, others, config) if "x" in one.binds else False
         if not same and one.kind in ("wall", "corridor"):
-            same = _covered(one, others, config)
+            same = _covered(one, [o for o in others if one.kind in ("wall", o.kind)], config)
         if same and not one.fixed:
             dropped.add(i)
         else:
@@ -94,17 +96,15 @@ def _again(one: Placed, others: Sequence[Placed], config: LandmarkConfig) -> boo
         if other.kind != one.kind or "x" not in other.binds:
             continue
         apart = float(np.hypot(*(one.pose[:2] - other.pose[:2])))
-        sigma = float(np.hypot(one.sigma, other.sigma))
-        if (
-            apart < min(config.same + 2.0 * sigma, _FARTHEST)
-            and one.material @ other.material > 0.7
-        ):
+        sigma = float(np.hypot(one.sigma, other.sigma)) if one.area != other.area else 0.0
+        near = apart < min(config.same + 2.0 * sigma, _FARTHEST)
+        if near and one.material @ other.material > _ALIKE:
             return True
     return False
 
 
 def _covered(one: Placed, others: Sequence[Placed], config: LandmarkConfig) -> bool:
-    """Whether other areas' landmarks have all segments of this one."""
+    """Whether other landmarks have all segments of this one."""
     segments = [other.segments for other in others if len(other.segments)]
     if not segments or not len(one.segments):
         return False

@@ -93,31 +93,10 @@ def find_landmarks(
                 lines=group.lines,
             )
         )
-    kept = choose(drafts, config)
+    kept = [d for d in drafts if d.utility >= config.min_utility]
+    kept = [d for d in kept if d.observations >= config.least_seen]
     used = {line for draft in kept for line in draft.lines}
     return Choice(tuple(kept), len(drafts) - len(kept), len(lines) - len(used))
-
-
-def choose(drafts: Sequence[Draft], config: LandmarkConfig) -> list[Draft]:
-    """Those of enough utility, and of several in one place the best."""
-    order = sorted(range(len(drafts)), key=lambda i: (-drafts[i].utility, i))
-    kept: list[int] = []
-    for i in order:
-        one = drafts[i]
-        if one.utility < config.min_utility or one.observations < config.least_seen:
-            continue
-        if not any(_same(one, drafts[j], config) for j in kept):
-            kept.append(i)
-    return [drafts[i] for i in sorted(kept)]
-
-
-def _same(one: Draft, other: Draft, config: LandmarkConfig) -> bool:
-    """Whether two drafts are one landmark seen twice."""
-    if one.kind != other.kind or not {"x", "y"} <= {*one.binds} & {*other.binds}:
-        return False
-    apart = float(np.hypot(*(one.pose[:2] - other.pose[:2])))
-    turned = abs(float(se2.wrap(one.pose[2] - other.pose[2])))
-    return apart < config.same and turned < config.min_angle
 
 
 def joint_covariance(V: StochasticMap, drafts: Sequence[Draft]) -> Array:

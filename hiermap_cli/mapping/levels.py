@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
     from hiermap_cli.estimation.stochastic_map import StochasticMap
     from hiermap_cli.mapping.area_map import AreaMap
-    from hiermap_cli.mapping.mapper import Mapper, Portal
+    from hiermap_cli.mapping.mapper import Mapper
+    from hiermap_cli.mapping.portals import Portal
     from hiermap_cli.mapping.trail import Trail
 
     Array = NDArray[np.float64]
