@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import log_cases as cases
 import numpy as np
 import pytest
 
-import log_cases as cases
 from hiermap_cli.config import InputConfig
 from hiermap_cli.logs.recording import open_recording
 from hiermap_cli.logs.records import Mount

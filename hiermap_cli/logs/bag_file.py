@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from typing import BinaryIO
 
 MAGIC = b"#ROSBAG V2.0\n"
-MAGIC_ANY = b"#ROSBAG V"
+_MAGIC_OLD = b"#ROSBAG V1"
 
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
 _OPS = (_MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION)
@@ -61,7 +61,7 @@ class BagFile:
             self._size = path.stat().st_size
             with path.open("rb") as file:
                 self._survey(file)
-                if self._chunks and not self._connections:
+                if not self._counted:  # then the connections too are told by the chunks alone
                     for chunk in self._chunks:
                         self._loader(file, chunk, lambda _: False, [])()
         except OSError as error:
@@ -99,6 +99,12 @@ class BagFile:
 
     def _survey(self, file: BinaryIO) -> None:
         """Finds the chunks, the connections and what the index says of them."""
+        magic = file.read(len(MAGIC))
+        if magic.startswith(_MAGIC_OLD):
+            version = magic[9:].split(b"\n")[0].decode("ascii", "replace")
+            raise InputError(
+                f"{self.path}: a bag of version {version}; `rosbag fix` brings it to 2.0"
+            )
         at = len(MAGIC)
         indexed = False
         while at < self._size:
@@ -123,6 +129,7 @@ class BagFile:
             at = begin + length
         if not indexed:
             self.losses.append("the bag was not closed: it has no index")
+            self._counted = False
 
     def _note(self, file: BinaryIO, op: int, fields: Fields, at: int, length: int) -> None:
         whole = at + length <= self._size

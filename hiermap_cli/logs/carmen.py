@@ -36,6 +36,7 @@ OTHERS = (b"PARAM", b"SYNC", b"NEFF", b"TRUEPOS", b"COMMENT", b"MARKER", b"NMEA-
 KNOWN = frozenset((*SHORT_LASERS, *LONG_LASERS, *OTHERS, b"ODOM"))
 SNIFF_LINES = 4000  # lines looked at for the topics of a log
 
+_FARTHEST = 1e30
 _FULL_CIRCLE = 2.0 * math.pi
 _LASER_PARAMS = {b"offset": 0, b"side_offset": 1, b"angular_offset": 2}
 
@@ -62,6 +63,8 @@ class _Floats(dict[bytes, float]):
 
     def __missing__(self, text: bytes) -> float:
         value = float(text)
+        if abs(value) > _FARTHEST:
+            value = math.inf  # float32 holds no more
         if len(self) < 1 << 16:
             self[text] = value
         return value
@@ -77,6 +80,7 @@ class CarmenLog:
         self.losses: list[str] = []
         self._floats = _Floats()
         self._reach: dict[str, float] = {}
+        self._ends: dict[bytes, int] = {}
         self._lasers: dict[tuple[str, int, float, float, float | None], LaserGeometry] = {}
 
     def topics(self) -> list[Topic]:
@@ -109,19 +113,22 @@ class CarmenLog:
             topic = name.decode("ascii", "replace")
             if name == b"PARAM":
                 _note_param(line, params)
+            if name not in KNOWN:
+                yield Record(topic if name.isupper() else "", 0, None, "unknown record")
+                continue
             if wanted is not None and topic not in wanted:
                 continue
             try:
                 if b"LASER" in name and name in KNOWN:
                     raw = self._laser(name, line)
                 elif name == b"ODOM":
-                    yield _odometry(line)
+                    yield self._odometry(line)
                     continue
                 else:
-                    yield _other(name, topic, line)
+                    yield _other(topic, line)
                     continue
             except (ValueError, IndexError, OverflowError) as error:
-                yield Record(topic if name in KNOWN else "", 0, None, f"malformed line: {error}")
+                yield Record(topic, 0, None, f"malformed line: {error}")
                 continue
             mount = _mount(name, params, raw)
             tellings = told.setdefault(topic, [])
@@ -156,7 +163,7 @@ class CarmenLog:
         if _carries_odometry(name):
             laser_pose, robot = _pose(rest[0:3]), _pose(rest[3:6])
             rest = rest[6:]
-        stamp_ns, log_ns = _stamps(rest)
+        stamp_ns, log_ns = self._stamps_of(name, rest)
         # 181 beams reach from -90 to +90 degrees, 180 stop one step before: CARMEN's custom.
         steps = beams - 1 if beams > 1 and (beams - 1) % 90 == 0 else max(beams, 1)
         return RawScan(
@@ -184,11 +191,29 @@ class CarmenLog:
             rest = rest[11:]
         if not (math.isfinite(start) and 0 < abs(step) < _FULL_CIRCLE):
             step = fov / max(beams - 1, 1)
-        stamp_ns, log_ns = _stamps(rest)
+        stamp_ns, log_ns = self._stamps_of(name, rest)
         stated = range_max if math.isfinite(range_max) and range_max > 0 else None
         return RawScan(
             name.decode(), stamp_ns, log_ns, ranges, start, step, stated, robot, laser_pose
         )
+
+    def _odometry(self, line: bytes) -> Record:
+        """`ODOM x y theta tv rv accel stamp host logger_stamp`."""
+        fields = line.split()
+        pose = _pose(fields[1:4])
+        stamp_ns, log_ns = self._stamps_of(b"ODOM", fields[7:])
+        return Record("ODOM", log_ns, Odometry(stamp_ns, *pose, frame="odom", child="base"))
+
+    def _stamps_of(self, name: bytes, rest: list[bytes]) -> tuple[int, int]:
+        """The stamps that end a line.
+
+        A line whose end is shorter than that of the first of its kind is cut off; one with
+        another record in its end has lost the line break between the two.
+        """
+        length = self._ends.setdefault(name, len(rest))
+        if len(rest) < length or (len(rest) > length and not KNOWN.isdisjoint(rest)):
+            raise ValueError("cut off, or two lines in one")
+        return _stamps(rest)
 
     def _scan(self, raw: RawScan) -> Iterator[Record]:
         topic = raw.topic
@@ -261,20 +286,10 @@ def _stamp(text: bytes) -> int:
         return 0
 
 
-def _other(name: bytes, topic: str, line: bytes) -> Record:
-    """A record that is of no use here; a line that is no record at all counts as malformed."""
-    if name not in KNOWN and not name.isupper():
-        return Record("", 0, None, "malformed line: no record of a CARMEN log")
+def _other(topic: str, line: bytes) -> Record:
+    """A record that is of no use here."""
     fields = line.rsplit(None, 3)
     return Record(topic, _stamps(fields[1:])[1] if len(fields) == 4 else 0, None)
-
-
-def _odometry(line: bytes) -> Record:
-    """`ODOM x y theta tv rv accel stamp host logger_stamp`."""
-    fields = line.split()
-    x, y, theta = _pose(fields[1:4])
-    stamp_ns, log_ns = _stamps(fields[7:])
-    return Record("ODOM", log_ns, Odometry(stamp_ns, x, y, theta, frame="odom", child="base"))
 
 
 def _note_param(line: bytes, params: dict[bytes, list[float]]) -> None:

@@ -36,7 +36,7 @@ class OdometryChoice(NamedTuple):
 def describe(topics: Sequence[Topic]) -> str:
     """A line of topics with their types, at most eight of them."""
     if not topics:
-        return "no topics"
+        return "nothing that can be read"
     listed = ", ".join(f"{topic.name} ({topic.type})" for topic in topics[:8])
     return listed + (f" and {len(topics) - 8} more" if len(topics) > 8 else "")
 

@@ -95,11 +95,20 @@ class Db3File:
         except sqlite3.Error as error:
             self.losses.append(f"{self.path.name}: messages cannot be counted: {error}")
             return (0, 0), None
+        self._note_missing(database)
         rows = [row for row in rows if row[0] in self._topics]
         if not rows:
             return (0, 0), {}
         span = min(int(row[2]) for row in rows), max(int(row[3]) for row in rows)
         return span, {int(row[0]): int(row[1]) for row in rows}
+
+    def _note_missing(self, database: sqlite3.Connection) -> None:
+        """Recorders number the rows without gaps: a gap is a page that reads as empty."""
+        query = "SELECT count(*), min(id), max(id) FROM messages"
+        count, first, last = database.execute(query).fetchone()
+        if isinstance(first, int) and isinstance(last, int) and last - first + 1 > count:
+            missing = last - first + 1 - count
+            self.losses.append(f"{self.path.name}: {missing} of its messages are missing")
 
     def _message(
         self, topic: object, stamp: object, data: object, losses: list[str]
@@ -151,10 +160,14 @@ class Db3File:
                     (after, _BATCH if step == 1 else 1),
                 ).fetchall()
             except sqlite3.Error:
+                rows = None
+            if rows is not None and not rows:
+                return
+            # A damaged tree may lead back to rows before: only rows that go on count.
+            last = rows[-1][0] if rows else None
+            if isinstance(last, int) and last > after:
+                yield from rows or ()
+                after, step = last, 1
+            else:
                 after += step
                 step *= 2
-                continue
-            if not rows:
-                return
-            yield from rows
-            after, step = rows[-1][0], 1

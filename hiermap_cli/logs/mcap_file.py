@@ -68,11 +68,12 @@ class McapFile:
         self._records: dict[int, ChannelRecord] = {}
         self._counts: dict[int, int] | None = None
         self._pieces: list[_Unread] = []
+        self._summarised = False
         try:
             self._size = path.stat().st_size
             with path.open("rb") as file:
                 self._survey(file)
-                if self._pieces and not self._records:
+                if not self._summarised:
                     self._gather_channels(file)
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read: {error.strerror or error}") from error
@@ -191,6 +192,9 @@ class McapFile:
         file.seek(footer.at)
         data = file.read(footer.length)
         end = Footer.read(ReadDataStream(io.BytesIO(data)))
+        if end.summary_start > self._size:
+            self.losses.append("the footer is damaged: the summary lies beyond the end")
+            return
         if end.summary_crc and end.summary_start:
             file.seek(end.summary_start)
             # The checksum reaches to the footer's own last field.
@@ -212,6 +216,8 @@ class McapFile:
                     self._counts = dict(Statistics.read(stream).channel_message_counts)
             except PARSE_ERRORS as error:
                 self.losses.append(f"summary record at byte {found.at} is damaged: {error}")
+                return
+        self._summarised = bool(self._records)
 
     def _gather_channels(self, file: BinaryIO) -> None:
         """Channels out of the chunks themselves, where no summary tells them."""

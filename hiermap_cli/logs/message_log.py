@@ -29,9 +29,9 @@ class MessageLog:
         self, log_format: str, containers: Sequence[Container], losses: Sequence[str] = ()
     ) -> None:
         self.format = log_format
-        self._found = tuple(losses)
-        self.losses: list[str] = []
         self._containers = ordered(containers)
+        self._found = [*losses, *(loss for c in self._containers for loss in c.losses)]
+        self.losses = list(self._found)
         self.paths: list[Path] = [container.path for container in self._containers]
         self._meanings: dict[Channel, Meaning | None] = {}
         self._reach: dict[str, float] = {}
@@ -60,7 +60,6 @@ class MessageLog:
     def records(self, wanted: frozenset[str] | None = None) -> Iterator[Record]:
         """Decoded values in log order."""
         self.losses = list(self._found)
-        self.losses += [loss for container in self._containers for loss in container.losses]
         choose = wanted.__contains__ if wanted is not None else _all
         for message in chained(self._containers, choose, self.losses):
             yield from self._decoded(message)

@@ -107,9 +107,14 @@ def _open_file(path: Path) -> Container:
     stored = path
     if path.suffix == ".zstd":
         stored = _decompressed(path, losses)
-    container: Container = (
-        Db3File(stored, path) if stored.suffix == ".db3" else McapFile(stored, path)
-    )
+    try:
+        container: Container = (
+            Db3File(stored, path) if stored.suffix == ".db3" else McapFile(stored, path)
+        )
+    except InputError as error:
+        if stored is not path:
+            _remove(str(stored))
+        raise InputError("; ".join([str(error), *losses])) from error
     if stored is not path:
         weakref.finalize(container, _remove, str(stored))
     container.losses[:0] = losses

@@ -64,8 +64,11 @@ def make_plan(source: Source, log: str, options: InputConfig) -> Plan:
     scans or odometry are missing, or more than one topic fits.
     """
     topics = source.topics()
-    scans = choose_scans(log, topics, options.scan_topic)
-    odometry = choose_odometry(log, topics, scans, options.odometry_topic)
+    try:
+        scans = choose_scans(log, topics, options.scan_topic)
+        odometry = choose_odometry(log, topics, scans, options.odometry_topic)
+    except InputError as error:
+        raise InputError(f"{error}{_losses(source)}") from error
     frames = frozenset(t.name for t in topics if t.kind == kinds.TRANSFORMS)
     head = _read_head(source, scans.name, odometry, frames)
     if not head.scans:

@@ -51,6 +51,7 @@ class WeanLog:
         """Records in the order of lines."""
         self.losses = []
         mounted = False
+        shapes: dict[str, tuple[int, int]] = {}
         for path in self.paths:
             for line in text_lines(path, self.losses):
                 fields = line.split()
@@ -61,7 +62,10 @@ class WeanLog:
                 if known and wanted is not None and topic not in wanted:
                     continue
                 if not known:
-                    yield Record("", 0, None, "malformed line: no record of a Wean log")
+                    yield Record("", 0, None, "unknown record")
+                    continue
+                if shapes.setdefault(topic, _shape(fields)) != _shape(fields):
+                    yield Record(topic, 0, None, "malformed line: not as long as the others")
                     continue
                 try:
                     values = _laser(fields) if topic == LASER else [_reading(fields)]
@@ -75,8 +79,15 @@ class WeanLog:
                     yield Record(topic, value.stamp_ns, value)
 
 
+def _shape(fields: list[bytes]) -> tuple[int, int]:
+    """Number of fields, and of decimals of the stamp: a line that is cut off has fewer."""
+    return len(fields), len(fields[-1].partition(b".")[2])
+
+
 def _reading(fields: list[bytes]) -> Odometry:
     x, y, theta = (float(text) for text in fields[1:4])
+    if len(fields) < 5:
+        raise ValueError("no stamp")
     stamp_ns = seconds_to_ns(fields[-1])
     return Odometry(stamp_ns, x * _METRES, y * _METRES, theta, frame="odom", child="base")
 
