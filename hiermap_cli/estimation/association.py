@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @lru_cache(maxsize=1024)
 def chi_square(probability: float, degrees: int) -> float:
     """Quantile of the chi-square distribution."""
-    from scipy.special import chdtri  # noqa: PLC0415  (scipy is slow to load)
+    from scipy.special import chdtri
 
     return float(chdtri(degrees, 1.0 - probability))
 
@@ -51,8 +51,9 @@ def mahalanobis(innovation: Array, S: Array) -> float:
 def joint_compatibility(
     candidates: Candidates, probability: float, max_nodes: int = 400
 ) -> list[int]:
-    """The largest jointly compatible set of pairs, at most one a observation; of equals the
-    closest one. Returns indices into `candidates`.
+    """The largest jointly compatible set of pairs, at most one a observation.
+
+    Of equals the closest one. Returns indices into `candidates`.
 
     The best candidate of every observation is tried first, whole: that is nearly always it.
     Otherwise a depth-first search with at most `max_nodes` tests.

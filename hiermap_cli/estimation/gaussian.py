@@ -20,8 +20,11 @@ if TYPE_CHECKING:
 
 
 class Correction(NamedTuple):
-    """Result of conditioning: mean (N,) of the error, its new covariance (N, N), and the
-    normalised innovation squared `y^T S^-1 y`."""
+    """Result of conditioning.
+
+    Mean (N,) of the error, its new covariance (N, N), and the normalised innovation squared `y^T
+    S^-1 y`.
+    """
 
     delta: Array
     covariance: Array

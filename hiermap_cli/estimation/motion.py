@@ -76,7 +76,11 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
 
 
 def distrusted(motion: Motion, config: OdometryConfig) -> Motion:
-    """The motion of an increment that cannot be true: it says little, and nothing of the
-    calibration."""
-    spread = np.diag(np.square([config.fault_sigma_xy, config.fault_sigma_xy, config.fault_sigma_theta]))
+    """The motion of an increment that cannot be true.
+
+    It says little, and nothing of the calibration.
+    """
+    spread = np.diag(
+        np.square([config.fault_sigma_xy, config.fault_sigma_xy, config.fault_sigma_theta])
+    )
     return Motion(motion.pose, motion.covariance + spread, np.zeros_like(motion.by_parameters))

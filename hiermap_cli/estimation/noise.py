@@ -41,8 +41,11 @@ class Surprise(NamedTuple):
 
 
 def surprise(nis: float, rows: int, delta_r: Array, shrunk: Array) -> Surprise:
-    """Splits a NIS. delta_r: (3,) the robot's correction; shrunk: (3, 3) the robot's covariance
-    before the update minus after it, in the same coordinates."""
+    """Splits a NIS.
+
+    Delta_r: (3,) the robot's correction; shrunk: (3, 3) the robot's covariance before the update
+    minus after it, in the same coordinates.
+    """
     spread = np.sqrt(np.maximum(np.diagonal(shrunk), 1e-18))
     unit = shrunk / np.outer(spread, spread) + 1e-9 * np.eye(3)
     z = delta_r / spread

@@ -42,7 +42,7 @@ class StochasticMap:
     @property
     def robot(self) -> Array:
         """The robot's pose, (3,)."""
-        return self.poses[0]
+        return np.asarray(self.poses[0])
 
     @property
     def objects(self) -> int:
@@ -63,7 +63,7 @@ class StochasticMap:
         """Additive covariance (3, 3) of pose i."""
         where = self.columns(i)
         J = self.additive_D_error(self.poses[i])
-        return J @ self.covariance[where, where] @ J.T
+        return np.asarray(J @ self.covariance[where, where] @ J.T)
 
     def additive_D_error(self, pose: Array) -> Array:
         """d (x, y, theta) / d error of a pose, in this map's coordinates, (..., 3, 3)."""
@@ -80,15 +80,19 @@ class StochasticMap:
     def error_D_tangent(self, pose: Array) -> Array:
         """d error / d tangent at a pose (its own frame), in this map's coordinates, (3, 3)."""
         Ad = se2.adjoint(pose)
-        return Ad if self.coordinates == "invariant" else se2.additive_D_invariant(pose) @ Ad
+        if self.coordinates == "invariant":
+            return Ad
+        return np.asarray(se2.additive_D_invariant(pose) @ Ad)
 
     def additive_covariance(self) -> Array:
-        """C(V) of the robot and the objects (without the parameters), additive, as documents
-        carry it: (3 + 3 n, 3 + 3 n)."""
+        """C(V) of the robot and the objects, without the parameters, (3 + 3 n, 3 + 3 n).
+
+        Additive, as documents carry it.
+        """
         keep = np.r_[0:3, self.first_object : len(self.covariance)]
         P = self.covariance[np.ix_(keep, keep)]
         if self.coordinates == "additive":
-            return P
+            return np.asarray(P)
         J = se2.additive_D_invariant(self.poses)
         n = len(self.poses)
         blocks = P.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
@@ -163,7 +167,7 @@ def predict(V: StochasticMap, motion: Motion) -> StochasticMap:
         P[:3, :3] = P_rr
     P[:3, :3] = symmetrise(P[:3, :3] + Ad @ motion.covariance @ Ad.T)
     P[3:, :3] = P[:3, 3:].T
-    return replace(V, poses=poses, covariance=P)
+    return StochasticMap(poses, V.parameters, P, V.coordinates)
 
 
 def add_objects(
@@ -202,7 +206,7 @@ def augment(V: StochasticMap, X: Array, A: Array, noise: Array) -> StochasticMap
     for i in range(k):
         corner[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += noise[i]
     P[N:, N:] = symmetrise(corner)
-    return replace(V, poses=np.concatenate((V.poses, X)), covariance=P)
+    return StochasticMap(np.concatenate((V.poses, X)), V.parameters, P, V.coordinates)
 
 
 def remove_objects(V: StochasticMap, keep: Index) -> StochasticMap:
@@ -249,7 +253,7 @@ def corrected(V: StochasticMap, delta: Array, P: Array) -> StochasticMap:
     else:
         poses = V.poses + steps
         poses[:, 2] = se2.wrap(poses[:, 2])
-    return replace(V, poses=poses, parameters=V.parameters + delta[3 : 3 + m], covariance=P)
+    return StochasticMap(poses, V.parameters + delta[3 : 3 + m], P, V.coordinates)
 
 
 class Constraint(NamedTuple):
@@ -262,9 +266,7 @@ class Constraint(NamedTuple):
 
     def select(self, rows: Index) -> Constraint:
         """The constraint of some of the rows."""
-        return Constraint(
-            self.innovation[rows], self.columns, self.H[rows], self.gain.select(rows)
-        )
+        return Constraint(self.innovation[rows], self.columns, self.H[rows], self.gain.select(rows))
 
 
 def prepare(V: StochasticMap, rows: Rows, R: Array) -> Constraint:
@@ -308,7 +310,7 @@ def _relocated(V: StochasticMap, delta_r: Array) -> StochasticMap:
     else:
         poses[0] = V.robot + delta_r
         poses[0, 2] = se2.wrap_one(float(poses[0, 2]))
-    return replace(V, poses=poses)
+    return StochasticMap(poses, V.parameters, V.covariance, V.coordinates)
 
 
 def relative_covariance(V: StochasticMap, i: int, j: int) -> Array:
@@ -359,8 +361,10 @@ def clone_robot(V: StochasticMap) -> StochasticMap:
 
 
 def seen_from_robot(V: StochasticMap, keep: Index) -> StochasticMap:
-    """A map in the robot's own frame: the robot certain at the origin, the parameters, and the
-    objects of the given pose indices with the errors of their poses relative to the robot.
+    """A map in the robot's own frame.
+
+    The robot certain at the origin, the parameters, and the objects of the given pose indices with
+    the errors of their poses relative to the robot.
 
     `X' = X_r^-1 X_l`, so `delta' = Ad(X_r^-1) (delta_l - delta_r)`.
     """

@@ -118,12 +118,18 @@ def invert_D_pose(R_a_b: Array) -> Array:
     return J
 
 
+def _sinc(x: Array) -> Array:
+    """sin(x) / x, one at zero."""
+    x = np.where(np.abs(x) < 1e-9, 1e-9, x)
+    return np.asarray(np.sin(x) / x)
+
+
 def exp(tangent: Array) -> Array:
     """The exponential map: tangent (..., 3) to pose (..., 3)."""
     tangent = np.asarray(tangent, dtype=float)
     rho_x, rho_y, phi = tangent[..., 0], tangent[..., 1], tangent[..., 2]
-    a = np.sinc(phi / np.pi)  # sin(phi) / phi
-    b = 0.5 * phi * np.sinc(phi / (2.0 * np.pi)) ** 2  # (1 - cos(phi)) / phi
+    a = _sinc(phi)
+    b = 0.5 * phi * _sinc(0.5 * phi) ** 2  # (1 - cos(phi)) / phi
     out = np.empty(tangent.shape)
     out[..., 0] = a * rho_x - b * rho_y
     out[..., 1] = b * rho_x + a * rho_y
@@ -137,7 +143,7 @@ def log(R_a_b: Array) -> Array:
     phi = wrap(R_a_b[..., 2])
     half = 0.5 * phi
     # half / tan(half) is smooth at zero; at |phi| = pi it is zero.
-    a = np.sinc(phi / np.pi) / np.sinc(half / np.pi) ** 2
+    a = _sinc(phi) / _sinc(half) ** 2
     x, y = R_a_b[..., 0], R_a_b[..., 1]
     out = np.empty(R_a_b.shape)
     out[..., 0] = a * x + half * y

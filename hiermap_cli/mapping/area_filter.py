@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -36,8 +35,11 @@ if TYPE_CHECKING:
 
 
 class Step(NamedTuple):
-    """The area after a scan, what was matched, the normalised innovation squared over its
-    degrees of freedom, and how it speaks of the noise (None where it says too little)."""
+    """The area after a scan, and what was matched.
+
+    nis: the normalised innovation squared of `degrees` rows. surprise: how it speaks of the
+    noise, None where it says too little.
+    """
 
     area: AreaMap
     matches: Matches
@@ -63,7 +65,7 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
         degrees = len(constraint.innovation)
         if degrees >= LEAST_ROWS:
             told = _surprise(area.V, V, nis, degrees)
-        area = _seen(replace(area, V=V), view, matches, key)
+        area = _seen(AreaMap(V, area.features, area.next_uid), view, matches, key)
     known = len(area.features.uid)
     new = ~found.near & (view.length >= config.filter.min_new_length)
     area = add_walls(area, view, np.flatnonzero(new), key)
@@ -86,10 +88,10 @@ def _seen(area: AreaMap, view: SegmentView, matches: Matches, key: int) -> AreaM
     x = _along(area, view, matches.segment, matches.wall)
     np.minimum.at(lo, matches.wall, x[:, 0])
     np.maximum.at(hi, matches.wall, x[:, 1])
-    objects = np.unique(np.concatenate((matches.wall, matches.end)))
-    seen[objects] += 1
+    objects = np.concatenate((matches.wall, matches.end))
+    seen[objects] = f.seen[objects] + 1  # once a scan, however many of its segments lie on it
     last[objects] = key
-    return replace(area, features=f._replace(lo=lo, hi=hi, seen=seen, last=last))
+    return AreaMap(area.V, f._replace(lo=lo, hi=hi, seen=seen, last=last), area.next_uid)
 
 
 def _along(area: AreaMap, view: SegmentView, segments: Index, walls: Index) -> Array:
@@ -136,9 +138,11 @@ def _new_ends(
 
 
 def forget_unseen(area: AreaMap, key: int, config: ForgetConfig) -> tuple[AreaMap, int]:
-    """Forget what has not been seen for long, against how often it ever was: an object seen n
-    times is kept for `patience * n` key scans, and for good after `enough` sightings. Ends go
-    with their wall. Returns how many were forgotten."""
+    """Forget what has not been seen for long, against how often it ever was.
+
+    An object seen n times is kept for `patience * n` key scans, and for good after `enough`
+    sightings. Ends go with their wall. Returns how many were forgotten.
+    """
     f = area.features
     unseen = key - f.last
     drop = (f.kind != ANCHOR) & (f.seen < config.enough) & (unseen > config.patience * f.seen)

@@ -20,8 +20,8 @@ from hiermap_cli.estimation.motion import LASER_X, PARAMETERS
 from hiermap_cli.estimation.stochastic_map import (
     Rows,
     StochasticMap,
-    augment,
     add_objects,
+    augment,
     remove_objects,
     seen_from_robot,
 )
@@ -56,11 +56,11 @@ class Features(NamedTuple):
     last: Index
 
 
+_NO_INTEGERS, _NO_REALS = np.zeros(0, dtype=np.int64), np.zeros(0)
 EMPTY = Features(
-    *(np.zeros(0, dtype=np.int64) for _ in range(4)),
-    *(np.zeros(0) for _ in range(2)),
-    *(np.zeros(0, dtype=np.int64) for _ in range(2)),
-)
+    uid=_NO_INTEGERS, kind=_NO_INTEGERS, wall=_NO_INTEGERS, side=_NO_INTEGERS,
+    lo=_NO_REALS, hi=_NO_REALS, seen=_NO_INTEGERS, last=_NO_INTEGERS,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +73,9 @@ class AreaMap:
 
 
 class Frames(NamedTuple):
-    """Objects' frames as the scan sees them, n objects: x, y, theta of R_s_l, and the cosine and
-    sine of theta, (n,) each.
+    """Objects' frames as the scan sees them, n objects.
+
+    X, y, theta of R_s_l, and the cosine and sine of theta, (n,) each.
 
     Segments are given with the nominal mount; the laser's x error moves them along the robot's
     X axis, so that s, the pose for measuring, is `R_r (laser_x, 0, 0)`.
@@ -123,7 +124,6 @@ class Matches(NamedTuple):
     end_side: Index
     end: Index
 
-
     def empty(self) -> bool:
         """Whether nothing was matched."""
         return not len(self.wall) and not len(self.end)
@@ -149,8 +149,10 @@ def innovations(frames: Frames, view: SegmentView, matches: Matches) -> Array:
 
 
 def match_rows(V: StochasticMap, frames: Frames, view: SegmentView, matches: Matches) -> Rows:
-    """The rows of matched segments and ends: where each is measured minus where it is predicted,
-    in the wall's or end's own frame. It shrinks with the robot's error, grows with the object's.
+    """The rows of matched segments and ends.
+
+    Where each is measured minus where it is predicted, in the wall's or end's own frame. It
+    shrinks with the robot's error, grows with the object's.
     """
     a, b = len(matches.wall), len(matches.end)
     objects = np.concatenate((matches.wall, matches.end))
@@ -173,8 +175,11 @@ def match_rows(V: StochasticMap, frames: Frames, view: SegmentView, matches: Mat
 
 
 def match_noise(frames: Frames, view: SegmentView, matches: Matches) -> Array:
-    """R (k, k) of `match_rows`: a segment's line noise carried from its centre to the wall's
-    origin by the lever arm between them."""
+    """R (k, k) of `match_rows`.
+
+    A segment's line noise carried from its centre to the wall's origin by the lever arm between
+    them.
+    """
     a, b = len(matches.wall), len(matches.end)
     R = np.zeros((2 * a + b, 2 * a + b))
     i = 2 * np.arange(a)
@@ -272,23 +277,26 @@ def add_ends(
     return AreaMap(V, joined(area.features, new), area.next_uid + k)
 
 
-def forget(area: AreaMap, drop: Array) -> AreaMap:
+def forget(area: AreaMap, drop: NDArray[np.bool_]) -> AreaMap:
     """The area without the objects where `drop` (n,) is True: what is left is marginal."""
     keep = np.flatnonzero(~drop)
     return replace(
         area,
         V=remove_objects(area.V, keep + 1),
-        features=Features(*(column[keep] for column in area.features)),
+        features=Features._make(column[keep] for column in area.features),
     )
 
 
 def joined(old: Features, new: Features) -> Features:
-    return Features(*(np.concatenate(pair) for pair in zip(old, new, strict=True)))
+    """The features of `old`, then those of `new`."""
+    return Features._make(np.concatenate(pair) for pair in zip(old, new, strict=True))
 
 
 def area_from_here(area: AreaMap, key: int) -> AreaMap:
-    """A new area about the robot, certain in its own frame, with the walls and ends that it saw
-    in key scan `key` as the old area knows them relative to the robot.
+    """A new area about the robot, which is certain in its frame.
+
+    It begins with the walls and ends that were seen in key scan `key`, as the old area knows
+    them relative to the robot.
 
     Without them a step of odometry between the last scan of one area and the first of the next
     would be believed unchecked. What their errors have in common with the old area's anchor is
@@ -297,5 +305,5 @@ def area_from_here(area: AreaMap, key: int) -> AreaMap:
     f = area.features
     keep = np.flatnonzero((f.last == key) & (f.kind != ANCHOR))
     keep = keep[(f.kind[keep] == WALL) | np.isin(f.wall[keep], f.uid[keep])]
-    kept = Features(*(column[keep] for column in f))
+    kept = Features._make(column[keep] for column in f)
     return AreaMap(seen_from_robot(area.V, keep + 1), kept, area.next_uid)

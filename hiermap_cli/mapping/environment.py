@@ -26,8 +26,11 @@ if TYPE_CHECKING:
 
 
 class Anchors(NamedTuple):
-    """What the environment takes of an area: poses (k, 3) in the area, the robot's first, then
-    the anchors; covariance (3 k, 3 k) of their invariant errors."""
+    """What the environment takes of an area.
+
+    Poses (k, 3) in the area, the robot's first, then the anchors; covariance (3 k, 3 k) of their
+    invariant errors.
+    """
 
     poses: Array
     covariance: Array
@@ -46,8 +49,10 @@ class Link(NamedTuple):
 
 
 class Environment(NamedTuple):
-    """frames: (K, 3) R_g_A. anchors: corrected poses, one array an area. covariance: (N, N) of
-    the invariant errors of all frames, then of all areas' robots and anchors, N = 3 K + sum 3 k.
+    """frames: (K, 3) R_g_A.
+
+    Anchors: corrected poses, one array an area. covariance: (N, N) of the invariant errors of all
+    frames, then of all areas' robots and anchors, N = 3 K + sum 3 k.
     """
 
     frames: Array
@@ -67,9 +72,11 @@ class Environment(NamedTuple):
 def compose_environment(
     areas: Sequence[Anchors], links: Sequence[Link], start: Array, C_start: Array
 ) -> Environment:
-    """Frames and joint covariance. `start`: (3,) R_g_A of the first area, C_start its covariance
-    (invariant). Every area but the first is the `b` of the link that discovered it, and links
-    are in the order of time; the others are constraints.
+    """Frames and joint covariance.
+
+    `start`: (3,) R_g_A of the first area, C_start its covariance (invariant). Every area but the
+    first is the `b` of the link that discovered it, and links are in the order of time; the others
+    are constraints.
     """
     tree, loops = _tree(len(areas), links)
     sizes = [3 * len(a.poses) for a in areas]

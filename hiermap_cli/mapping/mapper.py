@@ -65,7 +65,7 @@ class Mapper:
     current: int = 0
     key: int = 0
     crossings: Crossings = field(init=False)
-    noise: NoiseScale = NoiseScale()
+    noise: NoiseScale = field(default_factory=NoiseScale)
     noise_rate: float = 0.0
     _odometry: Array | None = None
     _wide: Config = field(init=False)
@@ -181,8 +181,10 @@ class Mapper:
             self._set(area)
 
     def _found_again(self, stamp_ns: int, view: SegmentView, step: Step, *, suspect: bool) -> Step:
-        """The step taken from where the scan itself says the robot is, where that explains more
-        of the scan: a pose found among the walls, or else the prediction with room for error."""
+        """The step taken from where the scan itself says the robot is, if that explains more.
+
+        That is a pose found among the walls, or else the prediction with room for an error.
+        """
         c = self.config.relocation
         V = self.area.V
         found = relocate(self.area, view, c, suspect=suspect)

@@ -38,9 +38,11 @@ MAX_SEGMENTS, MAX_CANDIDATES = 10, 3
 
 
 class Association(NamedTuple):
-    """matches: what was found, and `constraint`: its rows, ready. near: (s,) whether a segment
-    lies near enough to some wall that it must not found a new one. offered: how many segments
-    could have been matched."""
+    """matches: what was found, and `constraint`: its rows, ready.
+
+    Near: (s,) whether a segment lies near enough to some wall that it must not found a new one.
+    offered: how many segments could have been matched.
+    """
 
     matches: Matches
     constraint: Constraint | None
@@ -112,9 +114,7 @@ def wall_pairs(
     centre, ends = view.centre[segments], view.ends[segments]
     along = c[:, None] * ends[..., 0] + s[:, None] * ends[..., 1]
     offset = s * centre[:, 0] - c * centre[:, 1]
-    gap = np.maximum(
-        foot + f.lo[walls] - along[:, 1:], along[:, :1] - (foot + f.hi[walls])
-    )
+    gap = np.maximum(foot + f.lo[walls] - along[:, 1:], along[:, :1] - (foot + f.hi[walls]))
     i, j = np.nonzero(
         (np.abs(se2.wrap(theta[:, None] - F.theta)) < config.max_angle)
         & (np.abs(offset[:, None] - aside) < config.max_offset)
@@ -174,7 +174,7 @@ def _tried(pairs: Pairs, view: SegmentView) -> Pairs:
         keep &= np.isin(pairs.segment, longest[order[:MAX_SEGMENTS]])
     if keep.all():
         return pairs
-    return Pairs(*(column[keep] for column in pairs))
+    return Pairs._make(column[keep] for column in pairs)
 
 
 def _best(segment: Index) -> Index:

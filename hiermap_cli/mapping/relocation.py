@@ -31,8 +31,11 @@ MAX_SEGMENTS, MAX_HYPOTHESES = 8, 4000
 
 
 class Lines(NamedTuple):
-    """Walls of an area: heading (w,), unit normals to the free side (w, 2), offset (w,) along
-    it, and extents lo, hi (w,) along the heading from the foot of the origin."""
+    """Walls of an area.
+
+    Heading (w,), unit normals to the free side (w, 2), offset (w,) along it, and extents lo, hi
+    (w,) along the heading from the foot of the origin.
+    """
 
     theta: Array
     normal: Array
@@ -42,8 +45,11 @@ class Lines(NamedTuple):
 
 
 class Hypothesis(NamedTuple):
-    """A pose (3,) of the robot in the area, the metres of segment that it lays on walls, the
-    metres there are, and the same for the best hypothesis elsewhere."""
+    """A pose (3,) of the robot in the area, and how much of the scan it explains.
+
+    explained: metres of segment that it lays on walls, of `total` that there are. second: the
+    metres of the best hypothesis that is elsewhere.
+    """
 
     pose: Array
     explained: float
@@ -64,9 +70,14 @@ def area_lines(area: AreaMap, least_seen: int) -> Lines:
     )
 
 
-def search_window(V: StochasticMap, config: RelocationConfig, *, suspect: bool) -> tuple[float, float]:
-    """Metres and radians about the prediction to search: all that is searched where odometry
-    is suspect, else what the prediction's covariance leaves open."""
+def search_window(
+    V: StochasticMap, config: RelocationConfig, *, suspect: bool
+) -> tuple[float, float]:
+    """Metres and radians about the prediction to search.
+
+    All that is searched where odometry is suspect, else what the prediction's covariance leaves
+    open.
+    """
     if suspect:
         return config.max_distance, config.max_turn
     C = V.pose_covariance(0)
@@ -81,8 +92,10 @@ def search_window(V: StochasticMap, config: RelocationConfig, *, suspect: bool) 
 def relocate(
     area: AreaMap, view: SegmentView, config: RelocationConfig, *, suspect: bool
 ) -> Hypothesis | None:
-    """The pose that explains the scan, in the `search_window`, if one explains it clearly;
-    None where none does."""
+    """The pose that explains the scan, in the `search_window`, if one explains it clearly.
+
+    None where none does.
+    """
     max_distance, max_angle = search_window(area.V, config, suspect=suspect)
     lines = area_lines(area, config.least_seen)
     longest = np.argsort(-view.length, kind="stable")[:MAX_SEGMENTS]
@@ -106,13 +119,18 @@ def relocate(
     found = Hypothesis(pose, float(score[best]), total, second)
     shift = measuring_pose(area.V)[:2] - area.V.robot[:2]
     found = found._replace(pose=np.array([pose[0] - shift[0], pose[1] - shift[1], pose[2]]))
-    clear = found.explained >= config.min_share * total and second <= config.second * found.explained
+    clear = (
+        found.explained >= config.min_share * total and second <= config.second * found.explained
+    )
     return found if clear and found.explained >= config.min_explained else None
 
 
 def robot_found(V: StochasticMap, pose: Array, config: RelocationConfig) -> StochasticMap:
-    """V with the robot at a pose found by the scan alone: what is known of it is that it is
-    somewhere about there, and nothing that its way there had in common with the map."""
+    """V with the robot at a pose found by the scan alone.
+
+    What is known of it is that it is somewhere about there, and nothing that its way there had in
+    common with the map.
+    """
     P = V.covariance.copy()
     P[:3], P[:, :3] = 0.0, 0.0
     spread = np.diag(np.square([config.sigma, config.sigma, config.sigma_angle]))
@@ -124,8 +142,10 @@ def robot_found(V: StochasticMap, pose: Array, config: RelocationConfig) -> Stoc
 
 
 def widened(V: StochasticMap, config: RelocationConfig) -> StochasticMap:
-    """V with room for an error of the odometry's last step that its noise does not explain: a
-    slip along a corridor, where walls are all parallel and give no whole pose."""
+    """V with room for an error of the odometry's last step that its noise does not explain.
+
+    A slip along a corridor, where walls are all parallel and give no whole pose.
+    """
     spread = np.diag(np.square([config.slip, config.slip, config.slip_angle]))
     Ad = V.error_D_tangent(V.robot)
     P = V.covariance.copy()
@@ -145,7 +165,9 @@ def _hypotheses(
     normal = lines.normal[w]
     c, si = np.cos(theta), np.sin(theta)
     centre = view.centre[segments[s]]
-    centre_a = np.column_stack((c * centre[:, 0] - si * centre[:, 1], si * centre[:, 0] + c * centre[:, 1]))
+    centre_a = np.column_stack(
+        (c * centre[:, 0] - si * centre[:, 1], si * centre[:, 0] + c * centre[:, 1])
+    )
     offset = lines.offset[w] - (normal * centre_a).sum(axis=1)
     i, j = np.triu_indices(len(s), 1)
     ok = (s[i] != s[j]) & (np.abs(se2.wrap(theta[i] - theta[j])) < 0.1)
@@ -160,7 +182,7 @@ def _hypotheses(
     if len(poses) > MAX_HYPOTHESES:
         rank = np.argsort(np.hypot(*(poses[:, :2] - near[:2]).T), kind="stable")
         poses = poses[np.sort(rank[:MAX_HYPOTHESES])]
-    return poses
+    return np.asarray(poses)
 
 
 def explained_length(
@@ -179,4 +201,4 @@ def explained_length(
     fits = (angle < config.max_angle) & (np.abs(across).max(axis=2) < config.max_offset)
     overlap = np.minimum(along.max(axis=2), lines.hi) - np.maximum(along.min(axis=2), lines.lo)
     overlap = np.where(fits, np.clip(overlap, 0.0, view.length[:, None]), 0.0)
-    return overlap.max(axis=2).sum(axis=1)
+    return np.asarray(overlap.max(axis=2).sum(axis=1))

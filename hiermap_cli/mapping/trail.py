@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 
 
 class Base(NamedTuple):
-    """The last key scan, as the scans after it start from it: its stamp, area, and the robot's
-    pose (3,) and invariant covariance (3, 3) there."""
+    """The last key scan, as the scans after it start from it.
+
+    Its stamp, area, and the robot's pose (3,) and invariant covariance (3, 3) there.
+    """
 
     stamp_ns: int
     area: int
@@ -46,8 +48,10 @@ class Trail:
     _waiting: list[tuple[int, Array]] = field(default_factory=list)
 
     def key(self, stamp_ns: int, area: int, V: StochasticMap, motion: Motion | None = None) -> None:
-        """A scan that the filter used: the robot's estimate after it, in its area. `motion` is
-        the odometry since the last key scan, as the filter predicted by it."""
+        """A scan that the filter used: the robot's estimate after it, in its area.
+
+        `motion` is the odometry since the last key scan, as the filter predicted by it.
+        """
         base = Base(stamp_ns, area, V.robot, invariant_covariance(V))
         if motion is not None:
             self._settle(base, motion)
