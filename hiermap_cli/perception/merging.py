@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 SOLID = 3  # points that a run needs to take part
 NEAR_BEAMS = 8  # neighbours with so few beams between may be joined along a line seen steeply
 ALIKE = 0.8  # cosine between the normals of two pieces of one wall, at the least, but for those
-SHORT = 0.1  # metres; that are too short to have one
+SHORT = 0.3  # metres; that are too short to have one
+ROUGH = 0.8  # standard deviation of a wall's points that is still believed, in `split_floor`
 ACROSS = 3  # at most so many segments farther on is the other side of an occluder
 
 
@@ -112,7 +113,7 @@ def merge(
     pieces = Pieces(sums[:, solid], first, last, first, last, np.arange(len(first)))
     if not len(first):
         return pieces
-    state = _State(beams, pieces, laser, (0.5 * config.split_floor) ** 2)
+    state = _State(beams, pieces, laser, (ROUGH * config.split_floor) ** 2)
     _merge_neighbours(state, config)
     _merge_across(state, config)
     if beams.cyclic:
@@ -251,7 +252,7 @@ def _one_line(
     n_i, n_j = state.sums[i, 0], state.sums[j, 0]
     scatter = least_scatter(both)
     noise = (n_i * state.noise[i] + n_j * state.noise[j]) / both[0]
-    bends = np.minimum(n_i, n_j) * (state.uneven / 3.0) + (config.split_sigmas + 1.0) ** 2 * noise
+    bends = np.minimum(n_i, n_j) * (config.split_floor**2 / 12.0) + (config.split_sigmas + 1.0) ** 2 * noise
     price = (scatter - state.scatter[i] - state.scatter[j]) / bends
     freedom = both[0] - 2.0
     most = freedom + config.split_sigmas * np.sqrt(2.0 * freedom)
