@@ -95,7 +95,7 @@ class NoiseConfig(Section):
     warm_up_rate: Positive = Field(0.15, description="of the factors' logarithm, in the warm-up")
     rate: NonNegative = Field(0.01, description="of the factors' logarithm, afterwards")
     odometry_range: tuple[Positive, Positive] = Field(
-        (0.02, 30.0), description="bounds of the factor on the odometry's variances"
+        (0.3, 30.0), description="bounds of the factor on the odometry's variances"
     )
     walls_range: tuple[Positive, Positive] = Field(
         (1e-4, 10.0), description="bounds of the factor on the walls' unevenness"
@@ -164,11 +164,13 @@ class DoorConfig(Section):
     """When a narrow place is a door (or an opening between areas)."""
 
     min_width: Positive = Field(0.45, description="metres between the jambs, as passed")
-    max_width: Positive = Field(1.3, description="metres between the jambs, as passed")
+    max_width: Positive = Field(1.7, description="metres between the jambs, as passed")
     widening: Positive = Field(0.35, description="metres wider on either side of it")
     reach: Positive = Field(1.0, description="metres of path on which it must widen")
     min_evidence: float = Field(
-        0.9, description="metres of wall on the line through the jambs, less metres of opening"
+        0.9,
+        description="metres of wall on the line through the jambs, less metres of opening; that "
+        "many times the width of an opening wider than one metre",
     )
     hysteresis: Positive = Field(0.4, description="metres beyond a known door to have crossed it")
 
@@ -179,7 +181,7 @@ class AreaConfig(Section):
     max_objects: int = Field(300, ge=20, description="walls and ends in one area's state")
     max_extent: Positive = Field(40.0, description="metres from the area's frame")
     ask_every: Positive = Field(0.5, description="metres of path between questions where it is")
-    ask_sigma: Positive = Field(0.7, description="metres of sigma within which areas are asked for")
+    ask_sigma: Positive = Field(1.0, description="metres of sigma within which areas are asked for")
     recent: int = Field(40, ge=1, description="key scans whose walls tell the area")
     least_walls: int = Field(4, ge=3, description="walls that must fit to know an area again")
     agree: Positive = Field(0.2, description="metres between two answers that agree")
