@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from heapq import heappop, heappush
 from itertools import islice, pairwise
-from statistics import median
+from statistics import median, median_low
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from hiermap_cli.logs.records import Odometry, Scan
@@ -83,9 +83,9 @@ def settle(records: Iterable[Record], clock: Clock, counts: Counter[str]) -> Ite
         assert isinstance(value, (Scan, Odometry))
         assert time_ns is not None
         if high is None or last is None or last_log is None:
-            later = [raw for raw, _ in ahead]
-            if later and abs(time_ns - median(later)) > FAR:
-                time_ns = None if isinstance(value, Odometry) else int(median(later))
+            sound = _sound_first(time_ns, [raw for raw, _ in ahead])
+            if sound != time_ns:
+                time_ns = None if isinstance(value, Odometry) else sound
         elif time_ns < high - WINDOW:
             if _most(raw + offset < high - WINDOW for raw, _ in ahead):
                 pause = record.log_ns - last_log
@@ -114,6 +114,13 @@ def settle(records: Iterable[Record], clock: Clock, counts: Counter[str]) -> Ite
         last, last_log = time_ns, record.log_ns
         yield Timed(time_ns, sequence, value, record.log_ns, own)
         sequence += 1
+
+
+def _sound_first(first: int, later: list[int]) -> int:
+    """The log's first stamp; the first of those after it where it is far from them."""
+    if not later or abs(first - median(later)) <= FAR:
+        return first
+    return next(raw for raw in later if abs(raw - median_low(later)) <= FAR)
 
 
 def _stamped(records: Iterable[Record], clock: Clock) -> Iterator[tuple[int, Record]]:

@@ -7,7 +7,6 @@ from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 from hiermap_cli.errors import InputError
-from hiermap_cli.logs import records as kinds
 from hiermap_cli.logs.choice import (
     ARROW,
     EDGE,
@@ -17,18 +16,19 @@ from hiermap_cli.logs.choice import (
     describe,
 )
 from hiermap_cli.logs.clock import SECOND, Clock, choose_clock
+from hiermap_cli.logs.head import Head, frame_trees, is_odometry_edge, read_head
 from hiermap_cli.logs.join import plausible, sound_geometry
 from hiermap_cli.logs.records import LaserGeometry, Mount, Odometry, Record, Scan, Transform
 from hiermap_cli.logs.transforms import FrameTree, frame_name, planar_pose
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from hiermap_cli.config import InputConfig, MountConfig
     from hiermap_cli.logs.source import Source
 
-HEAD = 64  # scans, and odometry readings, that decide
-ODOMETRY_FRAMES = ("odom", "odometry", "odom_combined")
+    Edge = tuple[str, str]
+
 BASE_FRAMES = ("base_link", "base_footprint", "base", "base_frame", "robot", "chassis")
 REAR = math.radians(120.0)  # a mount's yaw beyond which the laser looks to the rear
 FAR_MOUNT = 3.0  # metres
@@ -51,17 +51,10 @@ class Plan(NamedTuple):
     warnings: tuple[str, ...]
 
 
-class _Head(NamedTuple):
-    scans: list[Record]
-    odometry: list[Record]
-    edges: list[Transform]
-
-
 def make_plan(source: Source, log: str, options: InputConfig) -> Plan:
     """Decides everything that must be known before the first block.
 
-    Reads until HEAD scans and HEAD odometry readings have been seen. Raises InputError where
-    scans or odometry are missing, or more than one topic fits.
+    Raises InputError where scans or odometry are missing, or more than one topic fits.
     """
     topics = source.topics()
     try:
@@ -69,22 +62,15 @@ def make_plan(source: Source, log: str, options: InputConfig) -> Plan:
         odometry = choose_odometry(log, topics, scans, options.odometry_topic)
     except InputError as error:
         raise InputError(f"{error}{_losses(source)}") from error
-    frames = frozenset(t.name for t in topics if t.kind == kinds.TRANSFORMS)
-    head = _read_head(source, scans.name, odometry, frames)
+    head = read_head(source, scans.name, odometry)
     if not head.scans:
         raise InputError(f"{log}: no scan on {scans.name} can be read{_losses(source)}")
     warnings: list[str] = []
-    scan_frame = next((r.value.frame for r in head.scans if isinstance(r.value, Scan)), "")
-    static = [*source.static_transforms(), *(e for e in head.edges if not frames)]
-    trees = (
-        (FrameTree(static), ""),
-        (FrameTree([*static, *head.edges]).without_moving(), " (transforms that stay the same)"),
-    )
+    scan_frame = head.scan_frame()
+    static, steady = frame_trees(source, head, warnings)
     if odometry.from_transforms:
-        odometry = _choose_edge(log, odometry, head.edges, FrameTree(static), scan_frame)
-    readings = [r for r in head.odometry if isinstance(r.value, Odometry)]
-    if odometry.from_transforms:
-        readings = list(odometry_of(head.odometry, odometry))
+        odometry = _choose_edge(log, odometry, head, static)
+    readings = list(odometry_of([*head.odometry, *head.moving], odometry))
     first = next((r.value for r in readings if _is_reading(r.value)), None)
     if first is None:
         raise InputError(
@@ -92,8 +78,8 @@ def make_plan(source: Source, log: str, options: InputConfig) -> Plan:
             f"the log has {describe(topics)}"
         )
     assert isinstance(first, Odometry)
-    base = frame_name(first.child) or _base_frame(trees[1][0], scan_frame)
-    mount, mount_source = _mount(options.mount, trees, base, scan_frame, warnings)
+    base = frame_name(first.child) or _base_frame(steady, scan_frame)
+    mount, mount_source = _mount(options.mount, (static, steady), base, scan_frame, warnings)
     seen = (r.value.laser for r in head.scans if isinstance(r.value, Scan))
     laser = next((laser for laser in seen if sound_geometry(laser)), None)
     if laser is None:
@@ -125,27 +111,6 @@ def odometry_of(records: Iterable[Record], choice: OdometryChoice) -> Iterator[R
             yield record._replace(value=reading)
 
 
-def _read_head(
-    source: Source, scan_topic: str, odometry: OdometryChoice, frames: frozenset[str]
-) -> _Head:
-    head = _Head([], [], [])
-    wanted = frozenset({scan_topic}) | odometry.topics | frames
-    for record in source.records(wanted):
-        value = record.value
-        if isinstance(value, Scan) and record.topic == scan_topic:
-            head.scans.append(record)
-        elif isinstance(value, Odometry) and record.topic in odometry.topics:
-            head.odometry.append(record)
-        elif isinstance(value, Transform):
-            head.edges.append(value)
-            if odometry.from_transforms and record.topic in odometry.topics:
-                head.odometry.append(record)
-        if len(head.scans) >= HEAD and len(head.odometry) >= HEAD:
-            break
-        del head.scans[HEAD:]  # bounded where one of the two comes very late
-    return head
-
-
 def _is_reading(value: object) -> bool:
     return isinstance(value, Odometry) and plausible(value)
 
@@ -155,14 +120,11 @@ def _losses(source: Source) -> str:
 
 
 def _choose_edge(
-    log: str,
-    odometry: OdometryChoice,
-    edges: list[Transform],
-    static: FrameTree,
-    scan_frame: str,
+    log: str, odometry: OdometryChoice, head: Head, static: FrameTree
 ) -> OdometryChoice:
     """The edge odometry -> robot among the transforms. Raises InputError where two fit."""
-    seen = dict.fromkeys((frame_name(e.parent), frame_name(e.child)) for e in edges)
+    edges = (r.value for r in head.moving if isinstance(r.value, Transform))
+    seen = list(dict.fromkeys((frame_name(e.parent), frame_name(e.child)) for e in edges))
     topic = odometry.name
     if odometry.edge is not None:
         if odometry.edge not in seen:
@@ -171,22 +133,25 @@ def _choose_edge(
                 f"there: {_edge_list(topic, seen)}"
             )
         return odometry._replace(name=topic + EDGE + ARROW.join(odometry.edge))
-    fitting = [e for e in seen if e[0].rpartition("/")[2] in ODOMETRY_FRAMES]
-    scan_frame = frame_name(scan_frame)
-    for narrower in (
-        [e for e in fitting if static.connects(e[1], scan_frame)],
-        [e for e in fitting if e[1].rpartition("/")[2] in BASE_FRAMES],
-    ):
-        if len(fitting) > 1 and narrower:
-            fitting = narrower
+    scan_frame = head.scan_frame()
+    fitting = [e for e in seen if is_odometry_edge(e, None)]
+    if not fitting:
+        fitting = [e for e in seen if static.connects(e[1], scan_frame)]
+    fitting = _narrowed(fitting, lambda e: e[0].rpartition("/")[2] != "map")
+    fitting = _narrowed(fitting, lambda e: static.connects(e[1], scan_frame))
+    fitting = _narrowed(fitting, lambda e: e[1].rpartition("/")[2] in BASE_FRAMES)
     if len(fitting) != 1:
         what = f"{len(fitting)} transforms fit" if fitting else "no transform fits"
         raise InputError(
             f"{log}: no odometry topic, and {what} as odometry: "
             f"{_edge_list(topic, fitting or seen)}; choose one by --odom-topic"
         )
-    name = topic + EDGE + ARROW.join(fitting[0])
-    return odometry._replace(name=name, edge=fitting[0])
+    return odometry._replace(name=topic + EDGE + ARROW.join(fitting[0]), edge=fitting[0])
+
+
+def _narrowed(edges: list[Edge], fits: Callable[[Edge], bool]) -> list[Edge]:
+    """Those that fit, or all where none does."""
+    return [edge for edge in edges if fits(edge)] or edges
 
 
 def _edge_list(topic: str, edges: Iterable[tuple[str, str]]) -> str:
@@ -196,21 +161,21 @@ def _edge_list(topic: str, edges: Iterable[tuple[str, str]]) -> str:
 def _base_frame(tree: FrameTree, scan_frame: str) -> str:
     """The robot's frame where the odometry does not name it."""
     for name in BASE_FRAMES:
-        if name in tree.frames() and tree.connects(name, frame_name(scan_frame)):
+        if name in tree.frames() and tree.connects(name, scan_frame):
             return name
     return BASE_FRAMES[0]
 
 
 def _mount(
     given: MountConfig | None,
-    trees: Iterable[tuple[FrameTree, str]],
+    trees: tuple[FrameTree, FrameTree],
     base: str,
     scan_frame: str,
     warnings: list[str],
 ) -> tuple[Mount, str]:
     if given is not None:
         return Mount(given.x, given.y, given.yaw, given.flipped), "configuration"
-    for tree, remark in trees:
+    for tree, remark in zip(trees, ("", ", a transform that stays the same"), strict=True):
         found = tree.mount(base, scan_frame)
         if found is not None:
             warnings.extend(found.warnings)

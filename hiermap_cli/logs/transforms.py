@@ -57,6 +57,14 @@ class FrameTree:
         }
         return tree
 
+    def joined(self, other: FrameTree) -> FrameTree:
+        """The edges of both trees; the other's tellings come last."""
+        tree = FrameTree(())
+        tree._edges = {key: list(tellings) for key, tellings in self._edges.items()}
+        for key, tellings in other._edges.items():
+            tree._edges.setdefault(key, []).extend(tellings)
+        return tree
+
     def connects(self, start: str, goal: str) -> bool:
         """Whether a path of edges leads from one frame to the other."""
         return start == goal or self._path(start, goal) is not None

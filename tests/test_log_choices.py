@@ -1,0 +1,421 @@
+"""Which topics, which mount, which clock: chosen, or refused with what to do."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import log_cases as cases
+import numpy as np
+import pytest
+from mcap.writer import Writer as McapWriter
+
+from hiermap_cli.config import InputConfig, MountConfig
+from hiermap_cli.errors import InputError
+from hiermap_cli.logs.clock import ORDER_STEP, choose_clock, in_time_order, settle
+from hiermap_cli.logs.recording import open_recording
+from hiermap_cli.logs.records import LaserGeometry, Mount, Odometry, Record, Scan
+
+SECOND = cases.SECOND
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+SCAN, ODOM, TF = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+
+
+class Log:
+    """An MCAP with any messages on any topics."""
+
+    def __init__(self, path):
+        self.path = path
+        self.messages = []
+
+    def add(self, topic, kind, stamp_ns, message, log_ns=None):
+        data = bytes(cases.STORE2.serialize_cdr(message, kind))
+        self.messages.append((stamp_ns if log_ns is None else log_ns, topic, kind, data))
+
+    def scans(self, topic="/scan", count=10, frame="laser", stamps=None, log=None):
+        for i in range(count):
+            stamp_ns = (i + 1) * SECOND if stamps is None else stamps[i]
+            message = cases.scan_message(cases.STORE2, stamp_ns, i)
+            message.header.frame_id = frame
+            self.add(topic, SCAN, stamp_ns, message, None if log is None else log[i])
+
+    def odometry(self, topic="/odom", count=11, child="base_link", stamps=None, log=None):
+        for i in range(count):
+            stamp_ns = i * SECOND + 5 if stamps is None else stamps[i]
+            message = cases.odometry_message(cases.STORE2, stamp_ns, (0.1 * i, 0, 0), child=child)
+            self.add(topic, ODOM, stamp_ns, message, None if log is None else log[i])
+
+    def transforms(self, edges, topic="/tf_static", stamp_ns=0):
+        self.add(topic, TF, stamp_ns, cases.tf_message(cases.STORE2, stamp_ns, tuple(edges)))
+
+    def moving(self, parent, child, count=11, topic="/tf"):
+        for i in range(count):
+            edge = (parent, child, (0.1 * i, 0.0, 0.0), LEVEL)
+            self.transforms([edge], topic, i * SECOND + 5)
+
+    def unknown(self, topic="/imu"):
+        self.messages.append((5, topic, "sensor_msgs/msg/Imu", b"\0\1\0\0"))
+
+    def open(self, **options):
+        with self.path.open("wb") as file:
+            writer = McapWriter(file)
+            writer.start("ros2", "tests")
+            channels = {}
+            for log_ns, topic, kind, data in self.messages:
+                if topic not in channels:
+                    schema = writer.register_schema(kind, "ros2msg", b"")
+                    channels[topic] = writer.register_channel(topic, "cdr", schema)
+                writer.add_message(channels[topic], log_ns, data, log_ns)
+            writer.finish()
+        return open_recording([self.path], InputConfig(**options))
+
+
+@pytest.fixture
+def log(tmp_path):
+    return Log(tmp_path / "log.mcap")
+
+
+def refused(log, match, **options):
+    with pytest.raises(InputError, match=match) as caught:
+        log.open(**options)
+    return str(caught.value)
+
+
+# ------------------------------------------------------------------------ topics
+
+
+def test_two_scan_topics_are_listed_with_the_option(log):
+    log.scans("/front")
+    log.scans("/rear")
+    log.odometry()
+    text = refused(log, "2 topics hold laser scans")
+    assert "/front" in text
+    assert "/rear" in text
+    assert "--scan-topic" in text
+    assert log.open(scan_topic="/rear").scan_topic == "/rear"
+
+
+@pytest.mark.parametrize("other", ["/scan_rear", "/a", "/zz/scan_filtered"])
+def test_the_usual_name_goes_first(log, other):
+    log.scans(other)
+    log.scans("/scan")
+    log.odometry("/wheels")
+    log.odometry("/odom")
+    recording = log.open()
+    assert (recording.scan_topic, recording.odometry_topic) == ("/scan", "/odom")
+
+
+def test_a_usual_name_in_a_namespace_goes_first_if_it_is_the_only_one(log):
+    log.scans("/robot/scan")
+    log.scans("/robot/rear")
+    log.odometry("/robot/odom")
+    log.odometry("/robot/visual")
+    recording = log.open()
+    assert (recording.scan_topic, recording.odometry_topic) == ("/robot/scan", "/robot/odom")
+    log.scans("/other/scan")
+    refused(log, "3 topics hold laser scans")
+
+
+def test_two_odometries_are_listed_with_the_option(log):
+    log.scans()
+    log.odometry("/wheels")
+    log.odometry("/visual")
+    assert "--odom-topic" in refused(log, "2 topics hold odometry")
+    assert log.open(odometry_topic="/visual").odometry_topic == "/visual"
+
+
+def test_no_scans_says_what_there_is(log):
+    log.odometry()
+    log.unknown()
+    assert "/imu (sensor_msgs/msg/Imu)" in refused(log, "no laser scans in it")
+
+
+def test_no_odometry_says_what_there_is(log):
+    log.scans()
+    log.unknown()
+    assert "/imu (sensor_msgs/msg/Imu)" in refused(log, "no odometry in it")
+
+
+def test_a_topic_that_is_not_there_or_of_another_type(log):
+    log.scans()
+    log.odometry()
+    assert "/scan" in refused(log, "no topic /none", scan_topic="/none")
+    assert "no laser scans" in refused(log, "--scan-topic /odom holds", scan_topic="/odom")
+    refused(log, "no topic /none", odometry_topic="/none")
+
+
+def test_a_log_of_unknown_types_is_refused(log):
+    log.unknown("/a")
+    log.unknown("/b")
+    refused(log, "no laser scans in it, only /a")
+
+
+# -------------------------------------------------------------------- transforms
+
+
+def test_odometry_from_the_only_fitting_transform(log):
+    log.scans()
+    log.moving("odom", "base_link")
+    log.moving("map", "odom")
+    log.transforms([("base_link", "laser", (0.2, 0.1, 0.0), LEVEL)])
+    recording = log.open()
+    assert recording.odometry_topic == "/tf:odom->base_link"
+    assert recording.mount == Mount(0.2, 0.1, 0.0)
+    (block,) = recording.blocks()
+    np.testing.assert_allclose(block.odometry[:-1, 0], 0.1 * np.arange(1, 10), atol=1e-8)
+
+
+def test_of_two_children_of_odom_the_one_that_carries_the_laser(log):
+    log.scans()
+    log.moving("odom", "base_footprint")
+    log.moving("odom", "base_link")
+    log.transforms([("base_link", "laser", (0.2, 0.0, 0.0), LEVEL)])
+    assert log.open().odometry_topic == "/tf:odom->base_link"
+    chosen = log.open(odometry_topic="/tf:odom->base_footprint")
+    assert chosen.odometry_topic == "/tf:odom->base_footprint"
+
+
+def test_two_transforms_that_fit_are_listed_with_the_option(log):
+    log.scans()
+    log.moving("odom", "base_footprint")
+    log.moving("odom", "base_link")
+    text = refused(log, "2 transforms fit")
+    assert "/tf:odom->base_link" in text
+    assert "--odom-topic" in text
+
+
+def test_a_transform_that_is_not_there(log):
+    log.scans()
+    log.moving("odom", "base_link")
+    text = refused(log, "no transform a->b", odometry_topic="/tf:a->b")
+    assert "/tf:odom->base_link" in text
+
+
+def yaw(angle):
+    return 0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2)
+
+
+def test_the_mount_is_composed_along_the_edges_either_way(log):
+    log.scans()
+    log.odometry(child="base_footprint")
+    # The laser hangs on a plate that turns by 90 degrees; one edge is told from below.
+    log.transforms(
+        [
+            ("base_footprint", "base_link", (0.0, 0.0, 0.1), LEVEL),
+            ("base_link", "plate", (0.3, 0.0, 0.2), yaw(math.pi / 2)),
+            ("laser", "plate", (-0.1, 0.0, 0.0), LEVEL),
+        ]
+    )
+    mount = log.open().mount
+    np.testing.assert_allclose(mount.pose(), [0.3, 0.1, math.pi / 2], atol=1e-9)
+    assert not mount.flipped
+
+
+def test_a_roll_of_pi_is_a_flipped_mount(log):
+    log.scans()
+    log.odometry()
+    log.transforms([("base_link", "laser", (0.1, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0))])
+    recording = log.open()
+    assert recording.mount == Mount(0.1, 0.0, 0.0, flipped=True)
+    assert any("upside down" in warning for warning in recording.plan.warnings)
+
+
+def test_a_pitch_of_pi_looks_to_the_rear_and_is_flipped(log):
+    log.scans()
+    log.odometry()
+    log.transforms([("base_link", "laser", (0.1, 0.0, 0.5), (0.0, 1.0, 0.0, 0.0))])
+    recording = log.open()
+    assert recording.mount.flipped
+    assert abs(abs(recording.mount.yaw) - math.pi) < 1e-9
+    assert any("rear" in warning for warning in recording.plan.warnings)
+
+
+def test_a_tilted_laser_is_said(log):
+    log.scans()
+    log.odometry()
+    pitch = (0.0, math.sin(0.1), 0.0, math.cos(0.1))
+    log.transforms([("base_link", "laser", (0.1, 0.0, 0.5), pitch)])
+    assert any("tilted by 11.5 degrees" in w for w in log.open().plan.warnings)
+
+
+def test_of_two_tellings_the_last_counts_and_is_said(log):
+    log.scans()
+    log.odometry()
+    log.transforms([("base_link", "laser", (0.1, 0.0, 0.0), LEVEL)])
+    log.transforms([("base_link", "laser", (0.3, 0.0, 0.0), LEVEL)], stamp_ns=7)
+    recording = log.open()
+    assert recording.mount.x == pytest.approx(0.3)
+    assert any("given 2 times" in warning for warning in recording.plan.warnings)
+
+
+def test_static_transforms_late_in_the_log_count_too(log):
+    log.scans(count=200)
+    log.odometry(count=200)
+    log.transforms([("base_link", "laser", (0.1, 0.0, 0.0), LEVEL)], stamp_ns=190 * SECOND)
+    assert log.open().mount == Mount(0.1, 0.0, 0.0)
+
+
+def test_a_transform_on_tf_that_stays_the_same_is_a_mount(log):
+    log.scans()
+    log.odometry()
+    for i in range(10):
+        log.transforms([("base_link", "laser", (0.1, 0.0, 0.0), LEVEL)], "/tf", i * SECOND)
+    recording = log.open()
+    assert recording.mount == Mount(0.1, 0.0, 0.0)
+    assert "stays the same" in recording.plan.mount_source
+
+
+def test_a_transform_that_moves_is_no_mount(log):
+    log.scans()
+    log.odometry()
+    log.moving("base_link", "laser")
+    recording = log.open()
+    assert recording.mount == Mount()
+    assert any("--mount" in warning for warning in recording.plan.warnings)
+
+
+def test_the_configuration_overrides_the_log(log):
+    log.scans()
+    log.odometry()
+    log.transforms([("base_link", "laser", (0.1, 0.0, 0.0), LEVEL)])
+    recording = log.open(mount=MountConfig(x=0.5, yaw=3.0, flipped=True))
+    assert recording.mount == Mount(0.5, 0.0, 3.0, flipped=True)
+
+
+def test_slashes_before_frames_do_not_matter(log):
+    log.scans(frame="/laser")
+    log.odometry(child="/base_link")
+    log.transforms([("base_link", "laser", (0.1, 0.0, 0.0), LEVEL)])
+    assert log.open().mount == Mount(0.1, 0.0, 0.0)
+
+
+# ------------------------------------------------------------------------ clocks
+
+
+def test_headers_of_zero_give_way_to_the_recorder(log):
+    log.scans(stamps=[0] * 10, log=[(i + 1) * SECOND for i in range(10)])
+    log.odometry()
+    recording = log.open()
+    assert recording.plan.clock == "log"
+    (block,) = recording.blocks()
+    assert block.stamps_ns.tolist() == [(i + 1) * SECOND for i in range(10)]
+    assert any("header stamps are unusable" in w for w in recording.report().warnings)
+
+
+def test_header_clocks_far_apart_give_way_to_the_recorder(log):
+    times = [(i + 1) * SECOND for i in range(10)]
+    log.scans(stamps=[t + 500 * SECOND for t in times], log=times)
+    log.odometry()
+    recording = log.open()
+    assert recording.plan.clock == "log"
+    assert any("500.0 s apart" in w for w in recording.plan.warnings)
+
+
+def test_header_stamps_are_the_time_and_a_clock_that_disagrees_is_said(log):
+    offset = 30 * SECOND
+    times = [(i + 1) * SECOND for i in range(10)]
+    log.scans(log=[t + offset for t in times])
+    readings = [i * SECOND + 5 for i in range(12)]
+    log.odometry(count=12, log=[t + offset for t in readings])
+    recording = log.open()
+    (block,) = recording.blocks()
+    assert block.stamps_ns.tolist() == times
+    assert any("30.0 s behind the recorder" in w for w in recording.report().warnings)
+
+
+@pytest.mark.parametrize(
+    ("pairs", "clock"),
+    [
+        ([(1, 0), (2, 0), (3, 0)], "header"),
+        ([(5, 5)], "header"),
+        ([(0, 5)], "log"),
+        ([(7, 1), (7, 2), (7, 3)], "log"),
+        ([(9, 1), (8, 2), (7, 3)], "log"),
+        ([(0, 0), (0, 0), (0, 0)], "order"),
+    ],
+)
+def test_the_clock_is_chosen_from_the_first_stamps(pairs, clock):
+    assert choose_clock(pairs) == clock
+
+
+GEOMETRY = LaserGeometry(0.0, 0.1, 1, 0.0, 10.0)
+
+
+def scan(stamp_ns, log_ns=0):
+    return Record("s", log_ns, Scan(stamp_ns, np.ones(1, dtype=np.float32), GEOMETRY))
+
+
+def reading(stamp_ns, log_ns=0):
+    return Record("o", log_ns, Odometry(stamp_ns, 0.0, 0.0, 0.0))
+
+
+def settled(records, clock="header"):
+    counts = Counter()
+    out = list(in_time_order(settle(records, clock, counts), counts))
+    times = [t.time_ns for t in out]
+    assert times == sorted(times)
+    return times, dict(counts)
+
+
+def test_good_stamps_stay_as_they_are():
+    stamps = [i * SECOND // 3 for i in range(50)]
+    assert settled([scan(t) for t in stamps]) == (stamps, {})
+
+
+def test_records_that_come_a_little_late_are_put_in_order():
+    stamps = [0, 3, 1, 2, 6, 5, 4]
+    tenth = SECOND // 10
+    assert settled([scan(t * tenth) for t in stamps]) == ([t * tenth for t in range(7)], {})
+
+
+def test_a_clock_that_is_set_back_is_carried_on():
+    before = [i * SECOND for i in range(100, 130)]
+    after = [i * SECOND for i in range(10, 40)]
+    log = [i * SECOND for i in range(60)]
+    records = [scan(t, w) for t, w in zip(before + after, log, strict=True)]
+    times, counts = settled(records)
+    assert times == [i * SECOND for i in range(100, 160)]
+    assert counts["clock_set_back"] == 1
+
+
+@pytest.mark.parametrize("wrong", [0, 5000 * SECOND, -SECOND])
+def test_a_single_stamp_that_is_nonsense_takes_the_one_before(wrong):
+    stamps = [i * SECOND for i in range(100, 140)]
+    broken = [*stamps[:20], wrong, *stamps[21:]]
+    times, counts = settled([scan(t) for t in broken])
+    assert times == [*stamps[:20], stamps[19], *stamps[21:]]
+    assert counts == {"stamp_outlier": 1}
+
+
+def test_a_first_stamp_that_is_nonsense_is_replaced():
+    stamps = [0, *(i * SECOND for i in range(9000, 9040))]
+    times, counts = settled([scan(t) for t in stamps])
+    assert min(times) >= 9000 * SECOND
+    assert counts == {"stamp_outlier": 1}
+
+
+def test_an_odometry_reading_with_a_stamp_that_is_nonsense_is_left_out():
+    stamps = [i * SECOND for i in range(100, 140)]
+    records = [reading(t) for t in stamps]
+    records[10] = reading(0)
+    times, counts = settled(records)
+    assert times == stamps[:10] + stamps[11:]
+    assert counts == {"odometry_stamp_outlier": 1}
+
+
+def test_a_long_pause_is_no_fault():
+    stamps = [*range(20), *range(5000, 5020)]
+    assert settled([scan(t * SECOND) for t in stamps]) == ([t * SECOND for t in stamps], {})
+
+
+def test_without_any_stamps_order_is_time_and_a_line_is_one_moment():
+    records = [r for _ in range(5) for r in (reading(0), reading(0), scan(0))]
+    times, _ = settled(records, "order")
+    assert times == [k * ORDER_STEP for k in (0, 1, 1, 2, 3, 3, 4, 5, 5, 6, 7, 7, 8, 9, 9)]
+
+
+def test_many_equal_stamps_do_not_pile_up():
+    counts = Counter()
+    stuck = (scan(5 * SECOND) for _ in range(20000))
+    flow = in_time_order(settle(stuck, "header", counts), counts)
+    assert sum(1 for _ in flow) == 20000
