@@ -98,6 +98,7 @@ class _State:
 
 def merge(
     beams: Beams,
+    breaks: Mask,
     runs: tuple[Index, Index],
     laser: LaserConfig,
     config: SegmentationConfig,
@@ -114,7 +115,7 @@ def merge(
     if not len(first):
         return pieces
     state = _State(beams, pieces, laser, (ROUGH * config.split_floor) ** 2)
-    _merge_neighbours(state, config)
+    _merge_neighbours(state, breaks, config)
     _merge_across(state, config)
     if beams.cyclic:
         _merge_over_seam(state, config)
@@ -132,12 +133,17 @@ def merge(
     )
 
 
-def _merge_neighbours(state: _State, config: SegmentationConfig) -> None:
-    """Merge runs that follow on one another without a point between, until no line holds two."""
+def _merge_neighbours(state: _State, breaks: Mask, config: SegmentationConfig) -> None:
+    """Merge runs that follow on one another, until no line holds two.
+
+    One or two points of neither may lie between, if all are of one surface.
+    """
     count = len(state.first)
-    joined = np.flatnonzero(
-        (state.last[:-1] + 1 == state.first[1:]) & (state.scan[:-1] == state.scan[1:])
-    )
+    between = state.last[:-1] + np.arange(1, SOLID + 1)[:, None]
+    between = np.minimum(between, state.first[1:])
+    whole = (between[-1] == state.first[1:]) & ~breaks[between].any(axis=0)
+    whole |= (between[0] == state.first[1:]) & (state.scan[1:] == state.scan[:-1])
+    joined = np.flatnonzero(whole)
     following, preceding = np.full(count, -1), np.full(count, -1)
     following[joined], preceding[joined + 1] = joined + 1, joined
     i = joined
@@ -252,7 +258,10 @@ def _one_line(
     n_i, n_j = state.sums[i, 0], state.sums[j, 0]
     scatter = least_scatter(both)
     noise = (n_i * state.noise[i] + n_j * state.noise[j]) / both[0]
-    bends = np.minimum(n_i, n_j) * (config.split_floor**2 / 12.0) + (config.split_sigmas + 1.0) ** 2 * noise
+    bends = (
+        np.minimum(n_i, n_j) * (config.split_floor**2 / 12.0)
+        + (config.split_sigmas + 1.0) ** 2 * noise
+    )
     price = (scatter - state.scatter[i] - state.scatter[j]) / bends
     freedom = both[0] - 2.0
     most = freedom + config.split_sigmas * np.sqrt(2.0 * freedom)

@@ -60,7 +60,7 @@ def segment_block(block: ScanBlock, laser: LaserConfig, config: SegmentationConf
         floors = config.model_copy(update={"split_floor": NOISELESS})
     breaks = breakpoints(beams, laser, config)
     runs = split(beams, breaks, noise, floors)
-    pieces = merge(beams, runs, noise, floors)
+    pieces = merge(beams, breaks, runs, noise, floors)
     if not len(pieces.first):
         return _empty()
     members = _members(beams, breaks, pieces, noise, floors)
