@@ -16,6 +16,8 @@ import pytest
 
 import hiermap_cli
 from hiermap_cli.geometry import lines, points, se2
+from hiermap_cli.mapping import doors
+from hiermap_cli.perception.kinds import corner, corridor, crossing, door, lineset
 
 PACKAGES = ("geometry", "perception", "estimation", "mapping")
 STEP = 1e-6
@@ -63,9 +65,25 @@ def hesse_in_chart(rng):
     return S, lines.chart(S)
 
 
-def crossing(rng):
+def crossing_lines(rng):
     first = hesse(rng)
     return first, np.array([first[0] + rng.uniform(0.4, 1.5), rng.uniform(-5, 5)])
+
+
+def facing_lines(rng):
+    first = hesse(rng)
+    return np.array([first, [first[0] + np.pi + rng.uniform(-0.1, 0.1), rng.uniform(-5, 5)]])
+
+
+def jamb_lines(rng):
+    first = hesse(rng)
+    return np.array([first, [first[0] + rng.uniform(-0.2, 0.2), rng.uniform(-5, 5)]])
+
+
+def moved_jambs(e, S, jambs, choice, weight):
+    """The door of jamb lines and points changed by e = (alpha1, x1, y1, alpha2, x2, y2)."""
+    angles = S + np.array([[e[0], 0.0], [e[3], 0.0]])
+    return door.door_pose(angles, jambs + e.reshape(2, 3)[:, 1:], choice, weight)
 
 
 def centred(rng):
@@ -140,9 +158,63 @@ TABLE = [
     Entry(lines.hesse_D_centred, centred, through_centre, 2),
     Entry(
         lines.intersect_D_lines,
-        crossing,
+        crossing_lines,
         lambda e, a, b: lines.intersect(a + e[:2], b + e[2:]),
         4,
+    ),
+    Entry(
+        lineset.point_on_D_line,
+        lambda rng: (hesse(rng), rng.uniform(-3, 3)),
+        lambda e, S, s: lineset.point_on(S + e[:2], s + e[2]),
+        3,
+    ),
+    Entry(
+        corner.corner_pose_D_lines,
+        lambda rng: (*crossing_lines(rng), rng.integers(2)),
+        lambda e, a, b, choice: corner.corner_pose(a + e[:2], b + e[2:], choice),
+        4,
+    ),
+    Entry(
+        corner.corner_shape_D_lines,
+        lambda rng: (*crossing_lines(rng), rng.integers(2)),
+        lambda e, a, b, choice: corner.corner_shape(a + e[:2], b + e[2:], choice)[0],
+        4,
+    ),
+    Entry(
+        door.door_pose_D_jambs,
+        lambda rng: (jamb_lines(rng), rng.uniform(-2, 2, (2, 2)), rng.integers(4), 0.3),
+        moved_jambs,
+        6,
+    ),
+    Entry(
+        corridor.corridor_pose_D_lines,
+        lambda rng: (facing_lines(rng), point(rng)),
+        lambda e, S, near: corridor.corridor_pose(S + e.reshape(2, 2), near, corridor.FIRST),
+        4,
+    ),
+    Entry(
+        crossing.crossing_pose_D_lines,
+        lambda rng: (np.concatenate((crossing_lines(rng), crossing_lines(rng))),),
+        lambda e, S: crossing.crossing_pose(S + e.reshape(4, 2)),
+        8,
+    ),
+    Entry(
+        lineset.foot_D_line,
+        lambda rng: (hesse(rng), point(rng)),
+        lambda e, S, P: lineset.foot(S + e, P),
+        2,
+    ),
+    Entry(
+        doors.on_wall_D_passed,
+        lambda rng: (hesse(rng),),
+        lambda e, S: doors.on_wall(np.array([2.0, -1.0, 0.4]) + e, S),
+        3,
+    ),
+    Entry(
+        doors.on_wall_D_line,
+        lambda rng: (pose(rng), hesse(rng)),
+        lambda e, passed, S: doors.on_wall(passed, S + e),
+        2,
     ),
 ]
 
@@ -153,7 +225,7 @@ def public_jacobians():
     for package in PACKAGES:
         root = importlib.import_module(f"hiermap_cli.{package}")
         modules = [root.__name__]
-        modules += [f"{root.__name__}.{m.name}" for m in pkgutil.iter_modules(root.__path__)]
+        modules += [m.name for m in pkgutil.walk_packages(root.__path__, f"{root.__name__}.")]
         for name in modules:
             module = importlib.import_module(name)
             for attribute, value in vars(module).items():

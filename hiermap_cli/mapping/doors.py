@@ -16,7 +16,7 @@ from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import points, se2
 from hiermap_cli.mapping.landmarks import Draft
 from hiermap_cli.mapping.portals import anchor_index
-from hiermap_cli.perception.kinds.lineset import offset_of
+from hiermap_cli.perception.kinds.lineset import foot, foot_D_line
 from hiermap_cli.perception.kinds.rules import POSE, PointShape, SegmentShape, exact_segment
 
 if TYPE_CHECKING:
@@ -158,18 +158,13 @@ def _beside(lines: LineSet, door: Array, width: float, config: LandmarkConfig) -
     return int(fits[np.argmax(lines.length[fits])]) if len(fits) else None
 
 
-def _normal(hesse: Array) -> Array:
-    return np.array([np.cos(hesse[0]), np.sin(hesse[0])])
-
-
 def on_wall(passed: Array, hesse: Array) -> Array:
     """R_a_d (3,) of a door on its wall, beside where it was passed."""
-    foot = passed[:2] - offset_of(hesse, passed[:2]) * _normal(hesse)
-    return np.append(foot, se2.wrap(hesse[0] - 0.5 * np.pi))
+    return np.append(foot(hesse, passed[:2]), se2.wrap(hesse[0] - 0.5 * np.pi))
 
 
 def on_wall_D_passed(hesse: Array) -> Array:
-    """d (the door's pose on its wall) / d (the pose (3,) at which it was passed), (3, 3)."""
+    """d on_wall / d passed, (3, 3): it moves along the wall only."""
     t = np.array([-np.sin(hesse[0]), np.cos(hesse[0])])
     J = np.zeros((3, 3))
     J[:2, :2] = np.outer(t, t)
@@ -177,15 +172,8 @@ def on_wall_D_passed(hesse: Array) -> Array:
 
 
 def on_wall_D_line(passed: Array, hesse: Array) -> Array:
-    """d (the door's pose on its wall) / d (alpha, d) of the wall, (3, 2)."""
-    n = _normal(hesse)
-    t = np.array([-n[1], n[0]])
-    P = passed[:2]
-    J = np.zeros((3, 2))
-    J[:2, 0] = (hesse[1] - n @ P) * t - (t @ P) * n
-    J[:2, 1] = n
-    J[2, 0] = 1.0
-    return J
+    """d on_wall / d (alpha, d) of the wall, (3, 2)."""
+    return np.vstack((foot_D_line(hesse, passed[:2]), [1.0, 0.0]))
 
 
 class DoorInG(NamedTuple):

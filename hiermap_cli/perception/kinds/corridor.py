@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiermap_cli.geometry.se2 import wrap
-from hiermap_cli.perception.kinds.lineset import along_of, offset_of, point_on
+from hiermap_cli.perception.kinds.lineset import (
+    along_of,
+    foot,
+    foot_D_line,
+    offset_of,
+    point_on,
+)
 from hiermap_cli.perception.kinds.rules import POSE, Extraction, Group, RuleSet, segment_shape
 
 if TYPE_CHECKING:
@@ -69,7 +75,7 @@ class Corridors:
         a, b = group.lines
         lo, hi = _stretch(lines, a, b)
         middle = point_on(lines.hesse[a], np.asarray(0.5 * (lo + hi)))
-        middle = 0.5 * (middle + _foot(lines.hesse[b], middle))
+        middle = 0.5 * (middle + foot(lines.hesse[b], middle))
         both = lines.hesse[[a, b]]
         pose = corridor_pose(both, middle, group.choice)
         D = np.zeros((3, 8))
@@ -84,7 +90,7 @@ class Corridors:
 def corridor_pose(hesse: Array, near: Array, choice: int) -> Array:
     """R_k_l (3,) of two facing lines (2, 2), its origin beside the fixed point `near` (2,)."""
     heading = hesse[0, 0] + 0.5 * float(wrap(hesse[1, 0] + np.pi - hesse[0, 0])) + 0.5 * np.pi
-    origin = 0.5 * (_foot(hesse[0], near) + _foot(hesse[1], near))
+    origin = 0.5 * (foot(hesse[0], near) + foot(hesse[1], near))
     return np.append(origin, wrap(np.asarray(heading + (np.pi if choice == SECOND else 0.0))))
 
 
@@ -92,19 +98,9 @@ def corridor_pose_D_lines(hesse: Array, near: Array) -> Array:
     """d corridor_pose / d (alpha1, d1, alpha2, d2), (3, 4)."""
     J = np.zeros((3, 4))
     for k in range(2):
-        c, s = np.cos(hesse[k, 0]), np.sin(hesse[k, 0])
-        n, t = np.array([c, s]), np.array([-s, c])
-        J[:2, 2 * k] = 0.5 * ((hesse[k, 1] - n @ near) * t - (t @ near) * n)
-        J[:2, 2 * k + 1] = 0.5 * n
+        J[:2, 2 * k : 2 * k + 2] = 0.5 * foot_D_line(hesse[k], near)
         J[2, 2 * k] = 0.5
     return J
-
-
-def _foot(hesse: Array, point: Array) -> Array:
-    """The point of a line that is nearest to `point`, (2,)."""
-    normal = np.array([np.cos(hesse[0]), np.sin(hesse[0])])
-    foot: Array = point - offset_of(hesse, point) * normal
-    return foot
 
 
 def _stretch(lines: LineSet, a: int, b: int) -> tuple[float, float]:

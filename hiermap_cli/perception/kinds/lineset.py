@@ -8,7 +8,8 @@ p1 to p2 (the free side is on the left).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,7 +29,8 @@ NO_PASSAGES = np.zeros((0, 4))
 NO_PASSAGES.flags.writeable = False
 
 
-class LineSet(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class LineSet:
     """n lines in one frame.
 
     hesse: (n, 2) alpha and d. along: (n, 2) s1 and s2. kind: (n, 2) of the ends, END_OPEN where
@@ -43,10 +45,9 @@ class LineSet(NamedTuple):
     kind: Index
     seen: Index
     covariance: Array
-    passages: Array = NO_PASSAGES
+    passages: Array = field(default_factory=lambda: NO_PASSAGES)
 
     def __len__(self) -> int:
-        """The number of lines (not of fields)."""
         return len(self.hesse)
 
     @property
@@ -96,6 +97,20 @@ def offset_of(hesse: Array, points: Array) -> Array:
     """How far points (..., 2) lie off lines (..., 2) towards their material, (...)."""
     c, n = np.cos(hesse[..., 0]), np.sin(hesse[..., 0])
     return np.asarray(c * points[..., 0] + n * points[..., 1] - hesse[..., 1])
+
+
+def foot(hesse: Array, point: Array) -> Array:
+    """The point (2,) of a line that is nearest to a fixed point."""
+    normal = np.array([np.cos(hesse[0]), np.sin(hesse[0])])
+    on_line: Array = point - offset_of(hesse, point) * normal
+    return on_line
+
+
+def foot_D_line(hesse: Array, point: Array) -> Array:
+    """d foot / d (alpha, d), (2, 2)."""
+    n = np.array([np.cos(hesse[0]), np.sin(hesse[0])])
+    t = np.array([-n[1], n[0]])
+    return np.column_stack(((hesse[1] - n @ point) * t - (t @ point) * n, n))
 
 
 def scan_lines(view: SegmentView) -> LineSet:

@@ -183,11 +183,11 @@ def endless(lines: LineSet, line: int) -> tuple[bool, bool]:
 
 
 def distinct(found: Sequence[tuple[float, tuple[object, ...]]]) -> list[int]:
-    """Indices of candidates (cost, what they use), cheapest first, using nothing twice."""
+    """Indices of candidates (cost, what they use) that use nothing twice; the cheapest first."""
     used: set[object] = set()
     kept = []
     for i in sorted(range(len(found)), key=lambda i: (found[i][0], i)):
         if used.isdisjoint(found[i][1]):
             used.update(found[i][1])
             kept.append(i)
-    return kept
+    return sorted(kept)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiermap_cli.geometry.se2 import wrap
-from hiermap_cli.perception.kinds.lineset import point_on, point_on_D_line
+from hiermap_cli.perception.kinds.lineset import foot_D_line, point_on, point_on_D_line
 from hiermap_cli.perception.kinds.rules import POSE, Extraction, Group, RuleSet, exact_segment
 from hiermap_cli.perception.segments import END_OPEN
 
@@ -51,28 +51,15 @@ class Walls:
         s = lines.along[i, group.choice] if bound else lines.along[i].mean()
         pose = np.append(point_on(S, s), wrap(S[0] + 0.5 * np.pi))
         D = np.zeros((3, 4))
-        by_line = wall_point_D_line(S, s, bound=bound)
-        D[:2, :2] = by_line[:, :2]
         D[2, 0] = 1.0
         if bound:
-            D[:2, 2 + group.choice] = by_line[:, 2]
+            D[:2, [0, 1, 2 + group.choice]] = point_on_D_line(S, s)
+        else:
+            D[:2, :2] = foot_D_line(S, pose[:2])
         free = np.array([0.0 if bound else max(0.5 * float(lines.length[i]), 0.5), 0.0, 0.0])
         shape = exact_segment(pose, lines, i)
         binds = POSE if bound else POSE[1:]
         return Extraction(binds, pose, D, (shape,), np.zeros((2, 4)), free)
-
-
-def wall_point_D_line(hesse: Array, s: Array, *, bound: bool) -> Array:
-    """d origin / d (alpha, d, s), (2, 3), of an end of the wall.
-
-    Where it is not bound it is the point of the wall that is nearest to a fixed one, which moves
-    across the line only: its s column is zero.
-    """
-    J = point_on_D_line(hesse, s)
-    if not bound:
-        J[:, 0] -= hesse[1] * J[:, 2]
-        J[:, 2] = 0.0
-    return J
 
 
 RULES: RuleSet = Walls()
