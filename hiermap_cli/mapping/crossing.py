@@ -11,7 +11,7 @@ from hiermap_cli.estimation.stochastic_map import place_robot, relative_covarian
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import area_from_here
 from hiermap_cli.mapping.model import Event
-from hiermap_cli.mapping.passages import Passage, PassageDetector, Trace
+from hiermap_cli.mapping.passages import KEPT, Passage, PassageDetector, Trace, aligned
 from hiermap_cli.mapping.places import Places
 from hiermap_cli.mapping.portals import (
     KnownDoors,
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 NOWHERE = np.zeros(2)
+LATELY = 8.0  # metres of path that are still the same visit
 
 
 class Passing(NamedTuple):
@@ -71,6 +72,7 @@ class Crossings:
     _recogniser: Recogniser = field(init=False)
     _entered: float = 0.0
     _began: bool = True
+    _cut: bool = False
 
     def __post_init__(self) -> None:
         self._detector = PassageDetector(self.config.doors)
@@ -93,7 +95,8 @@ class Crossings:
             return self.current
         passage = self._detector.passed(self.trace)
         if passage is not None and not self._doors.near(passage.frame):
-            if passage.evidence >= self.config.doors.min_evidence:
+            needed = self.config.doors.min_evidence * max(1.0, passage.width)
+            if passage.evidence >= needed:
                 self._enter_new(now, "door", passage)
                 return self.current
             self._event(now, "door_refused", area=self._name(), **_figures(passage))
@@ -103,7 +106,8 @@ class Crossings:
             return self.current
         c = self.config.areas
         far = np.hypot(*robot[:2]) > c.max_extent
-        if far or len(self.area.features.uid) > c.max_objects:
+        large = far or len(self.area.features.uid) > c.max_objects
+        if large and not self._on_known_ground():
             frame = se2.compose(robot, np.array([0.0, 0.0, -0.5 * np.pi]))
             at = Passage(frame, 2.0, self.trace.length, NOWHERE, NOWHERE)
             self._enter_new(now, "size", at)
@@ -137,7 +141,7 @@ class Crossings:
             )
         )
         self._go(b, V.robot)
-        self._began = True
+        self._began, self._cut = True, kind == "size"
         self._event(
             now,
             "area_entered",
@@ -154,12 +158,8 @@ class Crossings:
         """
         p = self.portals[index]
         out_of_a = p.a == self.current
-        self.places.leave(
-            self.current,
-            self.trace,
-            door_frame(self.area, p, from_a=out_of_a),
-            1.0 if out_of_a else -1.0,
-        )
+        door = door_frame(self.area, p, from_a=out_of_a)
+        self.places.leave(self.current, self.trace, door, 1.0 if out_of_a else -1.0)
         there = p.b if out_of_a else p.a
         out, into = (p.anchor_a, p.anchor_b) if out_of_a else (p.anchor_b, p.anchor_a)
         V = self.area.V
@@ -177,24 +177,48 @@ class Crossings:
             V.covariance[3 : 3 + m, 3 : 3 + m],
         )
         self.areas[there] = replace(other, V=placed)
-        self.portals[index] = replace(p, crossings=p.crossings + 1)
+        self.portals[index] = self._seen_again(p, door)
         self._go(there, V.robot)
         self._event(now, "area_reentered", area=self._name(), door=f"D{index + 1}")
+
+    def _seen_again(self, p: Portal, door: Array) -> Portal:
+        """The portal with the evidence of one crossing more: the mean of all."""
+        n = p.crossings
+        if p.kind == "door":
+            rays = self.trace.rays(self.trace.length - KEPT)
+            _, wall, opened = aligned(door, p.width, *rays)
+            p = replace(
+                p,
+                wall=(n * p.wall + float(wall.sum())) / (n + 1),
+                open=(n * p.open + float(opened.sum())) / (n + 1),
+            )
+        return replace(p, crossings=n + 1)
 
     def _recognise(self, now: Passing) -> Recognised | None:
         """An area known before, if the robot has come back into it unawares."""
         if not self._recogniser.due(self.trace.length):
             return None
         mine = self._same_as(self.current)
+        at_home = self._on_known_ground()
+        # An area that was cut for its size goes on ahead of the cut.
+        before = self._entered - LATELY if self._cut else np.inf
         asked = []
         for h, R_h_r in self._recogniser.candidates(self.area.V.robot):
-            if h > self.current and h in mine:
-                continue  # of one place the area that was begun first is gone on with
+            # Of one place the area that was begun first is gone on with.
+            if (h > self.current) if h in mine else at_home:
+                continue
+            if not self.places.known_ground(h, R_h_r[:2], before, 2.5):
+                continue
             region = self.places.region(h, self.areas[h], self.portals)
             if region.contains(R_h_r[:2]):
                 R_h_c = se2.compose(R_h_r, se2.invert(self.area.V.robot))
                 asked.append(Asked(h, self.areas[h], self._all_along_in(region, R_h_c)))
         return self._recogniser.ask(self.area, now.key, self.trace.length, asked)
+
+    def _on_known_ground(self) -> bool:
+        """Whether the robot has been about here before, in the present area."""
+        before = self.trace.length - LATELY
+        return self.places.known_ground(self.current, self.area.V.robot[:2], before, 1.5)
 
     def _all_along_in(self, region: Region, R_h_c: Array) -> bool:
         """Whether the robot has been there ever since it began the present area, just now."""
@@ -264,7 +288,7 @@ class Crossings:
         self._doors.set(area, self.areas, self.portals)
         self._recogniser.set(area, self.areas, self.portals, self.trace.length)
         self._entered = self.trace.length
-        self._began = False
+        self._began = self._cut = False
 
     def _name(self) -> str:
         return f"A{self.current + 1}"

@@ -39,6 +39,7 @@ BIN = 0.1  # metres of the line beside a jamb that are judged together
 BINS = 12
 THICKNESS = 0.22  # metres off the line at which a beam's end still belongs to the wall
 BEYOND = 0.3  # metres behind the line that a beam must reach to have passed it
+STRAIGHT = 0.5  # sine of the angle between the line and a path that crosses it
 STAND_OFF = 0.25  # metres off the line from which it is judged
 
 
@@ -199,6 +200,8 @@ class PassageDetector:
             return None
         frame = _frame(self.jambs[i], self.heading[i])
         if se2.between(frame, trace.poses[-1])[1] < STAND_OFF:
+            return None
+        if abs(np.sin(np.arctan2(*self.heading[i][::-1]) - frame[2])) < STRAIGHT:
             return None
         self._last = float(at[i]) + 0.4
         frame, wall, opened = aligned(frame, float(width[i]), *trace.rays(at[i] - 4.0))

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 APART, APART_ANGLE = 0.25, 0.35  # metres or radians between scans that are looked at
 BESIDE = 0.3  # metres beyond a door's jambs that are barred too
+GROUND = 0.5  # metres: cells by which it is told where the robot was
 DOOR = 1.0  # metres: through a gap no wider than this one sees another area
 
 
@@ -37,6 +38,7 @@ class Places:
 
     grids: dict[int, FreeGrid] = field(default_factory=dict)
     paths: dict[int, set[tuple[int, int]]] = field(default_factory=dict)
+    ground: dict[int, dict[tuple[int, int], float]] = field(default_factory=dict)
     _last: tuple[float, float] = (-np.inf, 0.0)
     _regions: dict[int, tuple[int, int, Region]] = field(default_factory=dict)
 
@@ -67,12 +69,29 @@ class Places:
         path = self.paths.setdefault(area, set())
         x, y = np.floor(pose[:2] / CELL).astype(int).tolist()
         path.add((x, y))
+        x, y = np.floor(pose[:2] / GROUND).astype(int).tolist()
+        self.ground.setdefault(area, {}).setdefault((x, y), at)
         turned = trace.turned[i]
         if at - self._last[0] < APART and abs(turned - self._last[1]) < APART_ANGLE:
             return
         self._last = (at, turned)
         grid = self.grids.setdefault(area, FreeGrid())
         grid.add(trace.origins[i], trace.ends[i])
+
+    def known_ground(self, area: int, point: Array, before: float, radius: float) -> bool:
+        """Whether the robot was within `radius` metres of a point of the area, a metre of path
+        `before` at the latest."""
+        ground = self.ground.get(area)
+        if not ground:
+            return False
+        x, y = np.floor(np.asarray(point) / GROUND).astype(int).tolist()
+        n = round(radius / GROUND)
+        return any(
+            ground.get((x + i, y + j), np.inf) < before
+            for i in range(-n, n + 1)
+            for j in range(-n, n + 1)
+            if i * i + j * j <= n * n
+        )
 
     def region(self, area: int, map_: AreaMap, portals: Sequence[Portal]) -> Region:
         """The free space of an area within its doors, in its frame."""
