@@ -94,6 +94,9 @@ class NoiseConfig(Section):
     warm_up: int = Field(120, ge=0, description="key scans run twice, to learn the noise first")
     warm_up_rate: Positive = Field(0.15, description="of the factors' logarithm, in the warm-up")
     rate: NonNegative = Field(0.01, description="of the factors' logarithm, afterwards")
+    laser_range: tuple[Positive, Positive] = Field(
+        (1e-4, 4.0), description="bounds of the factor on the laser's variance"
+    )
     odometry_range: tuple[Positive, Positive] = Field(
         (0.3, 30.0), description="bounds of the factor on the odometry's variances"
     )
@@ -180,6 +183,11 @@ class AreaConfig(Section):
 
     max_objects: int = Field(300, ge=20, description="walls and ends in one area's state")
     max_extent: Positive = Field(40.0, description="metres from the area's frame")
+    min_area: Positive = Field(4.0, description="square metres of free space that an area needs")
+    furniture: NonNegative = Field(0.8, description="metres; narrower gaps in it count as free")
+    outline: Positive = Field(0.1, description="metres to which an area's outline is true")
+    corridor_width: Positive = Field(3.5, description="metres; a corridor is nowhere wider")
+    corridor_length: Positive = Field(4.0, description="widths; a corridor is longer")
     ask_every: Positive = Field(0.5, description="metres of path between questions where it is")
     ask_sigma: Positive = Field(1.0, description="metres of sigma within which areas are asked for")
     recent: int = Field(40, ge=1, description="key scans whose walls tell the area")

@@ -23,14 +23,16 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 LEAST_ROWS = 8  # of an update that may tell
+LEAST_DEGREES, LEAST_FITS = 8, 20  # of fits that may tell the laser's noise
 WORST = 3.0  # a single scan counts as no worse: outliers are not noise
 
 
 class NoiseScale(NamedTuple):
-    """Factors on variances: of the odometry's noise, and of the walls' unevenness."""
+    """Factors on variances: of the odometry's noise, the walls' unevenness, the laser's noise."""
 
     odometry: float = 1.0
     walls: float = 1.0
+    laser: float = 1.0
 
 
 class Surprise(NamedTuple):
@@ -56,10 +58,23 @@ def surprise(nis: float, rows: int, delta_r: Array, shrunk: Array) -> Surprise:
 
 def adapted(scale: NoiseScale, seen: Surprise, rate: float, config: NoiseConfig) -> NoiseScale:
     """The factors moved by one update: up where it surprises, down where it does not."""
-    return NoiseScale(
-        _moved(scale.odometry, seen.robot, rate, config.odometry_range),
-        _moved(scale.walls, seen.rest, rate, config.walls_range),
+    return scale._replace(
+        odometry=_moved(scale.odometry, seen.robot, rate, config.odometry_range),
+        walls=_moved(scale.walls, seen.rest, rate, config.walls_range),
     )
+
+
+def residual_factor(chi2: Array, degrees: NDArray[np.int64], config: NoiseConfig) -> float:
+    """The factor on the laser's variance by which line fits have the residuals they should.
+
+    chi2: (S,) of each fit, degrees: (S,) of freedom. The median over the fits of many points: a
+    wall that is no line counts for no more than any other.
+    """
+    many = degrees >= LEAST_DEGREES
+    if np.count_nonzero(many) < LEAST_FITS:
+        return 1.0
+    factor = float(np.median(chi2[many] / degrees[many]))
+    return min(max(factor, config.laser_range[0]), config.laser_range[1])
 
 
 def _moved(factor: float, ratio: float, rate: float, bounds: tuple[float, float]) -> float:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiermap_cli.estimation import motion as odometry_model
-from hiermap_cli.estimation.noise import NoiseScale, adapted
+from hiermap_cli.estimation.noise import NoiseScale, adapted, residual_factor
 from hiermap_cli.estimation.stochastic_map import Motion, initial_map, predict
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_filter import Step, forget_unseen, observe
@@ -21,7 +21,7 @@ from hiermap_cli.mapping.relocation import relocate, robot_found, widened
 from hiermap_cli.mapping.trail import Trail
 from hiermap_cli.perception.segmentation import segment_block
 from hiermap_cli.perception.sight import sights
-from hiermap_cli.perception.views import scan_views, with_unevenness
+from hiermap_cli.perception.views import scan_views, with_noise
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -158,7 +158,7 @@ class Mapper:
         return True
 
     def _observe(self, stamp_ns: int, view: SegmentView, *, suspect: bool = False) -> None:
-        view = with_unevenness(view, self.config.filter, self.noise.walls)
+        view = with_noise(view, self.config.filter, self.noise.laser, self.noise.walls)
         step: Step = observe(self.area, view, self.key, self.config)
         if suspect or self._poor(view, step):
             step = self._found_again(stamp_ns, view, step, suspect=suspect)
@@ -215,6 +215,12 @@ class Mapper:
         self.events.append(Event(stamp_ns, kind, details))
 
 
+def laser_factor(block: ScanBlock, config: Config) -> float:
+    """The laser's variance over the configured one, by the residuals of a block's line fits."""
+    segments = segment_block(block, config.laser, config.segmentation)
+    return residual_factor(segments.chi2, segments.points - 2, config.noise)
+
+
 def _matched_length(view: SegmentView, step: Step) -> float:
     return float(view.length[step.matches.segment].sum())
 
@@ -248,6 +254,8 @@ def learn_noise(stream: Iterator[ScanBlock], config: Config) -> tuple[list[ScanB
         return first, NoiseScale()
     scout = Mapper(config, noise_rate=config.noise.warm_up_rate)
     for block in stream:
+        if not first:
+            scout.noise = scout.noise._replace(laser=laser_factor(block, config))
         first.append(block)
         scout.take(block)
         if scout.counts.keys >= config.noise.warm_up or len(first) >= WARM_UP_BLOCKS:

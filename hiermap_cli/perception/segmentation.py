@@ -187,6 +187,7 @@ def _describe(
         end1=ends.kind[0],
         end2=ends.kind[1],
         end_sigma=ends.sigma.T,
+        chi2=fit.chi2,
     )
 
 
@@ -209,4 +210,5 @@ def _empty() -> SegmentBlock:
         end1=none,
         end2=none,
         end_sigma=pairs,
+        chi2=np.zeros(0),
     )

@@ -34,6 +34,7 @@ class SegmentBlock:
     points: (S,) number of points; length: (S,).
     end1, end2: (S,) END_OPEN, END_VERTEX or END_FREE.
     end_sigma: (S, 2) standard deviation along the line of each end point (beam spacing).
+    chi2: (S,) sum of squared residuals over their variances: points - 2 is expected of it.
     """
 
     scan: NDArray[np.int64]
@@ -50,3 +51,4 @@ class SegmentBlock:
     end1: NDArray[np.int64]
     end2: NDArray[np.int64]
     end_sigma: Array
+    chi2: Array

@@ -56,16 +56,19 @@ def scan_views(segments: SegmentBlock, scans: int) -> Iterator[SegmentView]:
         )
 
 
-def with_unevenness(view: SegmentView, config: FilterConfig, factor: float) -> SegmentView:
-    """The view with the unevenness of walls in its noise, `factor` times the configured variance.
+def with_noise(view: SegmentView, config: FilterConfig, laser: float, walls: float) -> SegmentView:
+    """The view with the noise of this log.
+
+    laser: factor on the variances of the line fits. walls: factor on the variance of the walls'
+    unevenness, which is added to them.
 
     A line that is only `length` long says less of its wall's direction than of its own: an
     unevenness of `wall_sigma` over the length adds to the heading's.
     """
-    var = factor * config.wall_sigma**2
-    var_theta = view.var_theta + factor * config.wall_sigma_theta**2
+    var = walls * config.wall_sigma**2
+    var_theta = laser * view.var_theta + walls * config.wall_sigma_theta**2
     return view._replace(
         var_theta=var_theta + var / np.square(np.maximum(view.length, 0.1)),
-        var_y=view.var_y + var,
-        end_sigma=np.sqrt(np.square(view.end_sigma) + factor * config.end_sigma**2),
+        var_y=laser * view.var_y + var,
+        end_sigma=np.sqrt(np.square(view.end_sigma) + walls * config.end_sigma**2),
     )
