@@ -28,7 +28,7 @@ def seconds_to_ns(text: bytes | str) -> int:
 
 def _by_decimal(text: str) -> int:
     try:
-        value = Decimal(text)
+        value = Decimal("nan" if "_" in text else text)
     except InvalidOperation:
         value = Decimal("nan")
     if not value.is_finite() or abs(value) > LIMIT_NS:

@@ -155,11 +155,13 @@ def planar_mount(T_b_s: Array) -> tuple[Mount, float]:
 def planar_pose(
     translation: tuple[float, float, float], rotation: tuple[float, float, float, float]
 ) -> tuple[float, float, float]:
-    """`(x, y, theta)` of a pose in space; theta is nan where the quaternion is none."""
+    """`(x, y, theta)` of a pose in space; theta, not wrapped, is nan where the rotation is none."""
     x, y, z, w = rotation
     norm = x * x + y * y + z * z + w * w
     if not norm > 1e-6:
         return translation[0], translation[1], math.nan
+    if x == 0.0 and y == 0.0:
+        return translation[0], translation[1], 2.0 * math.atan2(z, w)
     theta = math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
     return translation[0], translation[1], theta
 
