@@ -8,11 +8,10 @@ Foxglove's messages and text logs are written here, by hand.
 from __future__ import annotations
 
 import gzip
-import json
 import math
-import struct
 from typing import TYPE_CHECKING, Any
 
+import foxglove_cases as foxglove
 import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -138,14 +137,13 @@ def header(store: Any, stamp_ns: int, frame: str, seq: int = 0) -> Any:
     return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame, **more)
 
 
-Edge = tuple[str, str, tuple[float, float, float], tuple[float, float, float, float]]
-MOUNT_EDGES: tuple[Edge, ...] = (
+MOUNT_EDGES: tuple[foxglove.Edge, ...] = (
     ("base", "plate", (0.05, 0.0, 0.3), (0.0, 0.0, 0.0, 1.0)),
     ("plate", "laser", (MOUNT_X - 0.05, 0.0, 0.1), (0.0, 0.0, 0.0, 1.0)),
 )
 
 
-def tf_message(store: Any, stamp_ns: int, edges: tuple[Edge, ...]) -> Any:
+def tf_message(store: Any, stamp_ns: int, edges: tuple[foxglove.Edge, ...]) -> Any:
     kinds = store.types
     transforms = []
     for parent, child, translation, rotation in edges:
@@ -257,136 +255,12 @@ def write_rosbag2(
             writer.write(channels[topic], log_ns, STORE2.serialize_cdr(message, kind))
 
 
-# ------------------------------------------------------------ Foxglove messages
-
-
-def _field(number: int, wire: int, payload: bytes) -> bytes:
-    return _varint(number << 3 | wire) + payload
-
-
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while True:
-        byte, value = value & 0x7F, value >> 7
-        out.append(byte | (0x80 if value else 0))
-        if not value:
-            return bytes(out)
-
-
-def _nested(number: int, payload: bytes) -> bytes:
-    return _field(number, 2, _varint(len(payload)) + payload)
-
-
-def _double(number: int, value: float) -> bytes:
-    return _field(number, 1, struct.pack("<d", value)) if value else b""
-
-
-def _stamp(stamp_ns: int) -> bytes:
-    seconds, nanoseconds = divmod(stamp_ns, SECOND)
-    return _field(1, 0, _varint(seconds)) + _field(2, 0, _varint(nanoseconds))
-
-
-def _doubles(values: tuple[float, ...]) -> bytes:
-    return b"".join(_double(i + 1, value) for i, value in enumerate(values))
-
-
-def _yaw(theta: float) -> tuple[float, float, float, float]:
-    return 0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2)
-
-
-def protobuf_scan(stamp_ns: int, index: int, *, packed: bool = True) -> bytes:
-    start = -0.5 * math.pi
-    values = struct.pack(f"<{BEAMS}d", *ranges(index))
-    if packed:
-        body = _nested(6, values)
-    else:
-        body = b"".join(_field(6, 1, values[i : i + 8]) for i in range(0, len(values), 8))
-    return (
-        _nested(1, _stamp(stamp_ns))
-        + _nested(2, b"laser")
-        + _double(4, start)
-        + _double(5, start + (BEAMS - 1) * math.pi / 180.0)
-        + body
-    )
-
-
-def protobuf_transform(stamp_ns: int, edge: Edge) -> bytes:
-    parent, child, translation, rotation = edge
-    return (
-        _nested(1, _stamp(stamp_ns))
-        + _nested(2, parent.encode())
-        + _nested(3, child.encode())
-        + _nested(4, _doubles(translation))
-        + _nested(5, _doubles(rotation))
-    )
-
-
-def odometry_edge(stamp_ns: int) -> Edge:
-    x, y, theta = pose(stamp_ns)
-    return "odom", "base", (x, y, 0.0), _yaw(theta)
-
-
-def protobuf_pose(stamp_ns: int) -> bytes:
-    x, y, theta = pose(stamp_ns)
-    place = _nested(1, _doubles((x, y, 0.0))) + _nested(2, _doubles(_yaw(theta)))
-    return _nested(1, _stamp(stamp_ns)) + _nested(2, b"odom") + _nested(3, place)
-
-
-def _json_stamp(stamp_ns: int) -> dict[str, int]:
-    return {"sec": stamp_ns // SECOND, "nsec": stamp_ns % SECOND}
-
-
-def _json_vector(values: tuple[float, ...]) -> dict[str, float]:
-    return dict(zip("xyzw", values, strict=False))
-
-
-def json_scan(stamp_ns: int, index: int) -> bytes:
-    start = -0.5 * math.pi
-    words = {math.inf: "Infinity"}
-    values = [None if math.isnan(r) else words.get(r, r) for r in ranges(index).tolist()]
-    message = {
-        "timestamp": _json_stamp(stamp_ns),
-        "frame_id": "laser",
-        "pose": {"position": _json_vector((0, 0, 0)), "orientation": _json_vector((0, 0, 0, 1))},
-        "start_angle": start,
-        "end_angle": start + (BEAMS - 1) * math.pi / 180.0,
-        "ranges": values,
-        "intensities": [],
-    }
-    return json.dumps(message).encode()
-
-
-def json_transform(stamp_ns: int, edge: Edge) -> bytes:
-    parent, child, translation, rotation = edge
-    message = {
-        "timestamp": _json_stamp(stamp_ns),
-        "parent_frame_id": parent,
-        "child_frame_id": child,
-        "translation": _json_vector(translation),
-        "rotation": _json_vector(rotation),
-    }
-    return json.dumps(message).encode()
-
-
-def json_pose(stamp_ns: int) -> bytes:
-    x, y, theta = pose(stamp_ns)
-    message = {
-        "timestamp": _json_stamp(stamp_ns),
-        "frame_id": "odom",
-        "pose": {
-            "position": _json_vector((x, y, 0.0)),
-            "orientation": _json_vector(_yaw(theta)),
-        },
-    }
-    return json.dumps(message).encode()
-
-
 def write_foxglove_mcap(path: Path, encoding: str, *, poses: bool = False) -> None:
     """With `poses` odometry comes as PoseInFrame, else as a FrameTransform on /tf."""
     protobuf = encoding == "protobuf"
-    scan = protobuf_scan if protobuf else json_scan
-    transform = protobuf_transform if protobuf else json_transform
-    place = protobuf_pose if protobuf else json_pose
+    scan = foxglove.protobuf_scan if protobuf else foxglove.json_scan
+    transform = foxglove.protobuf_transform if protobuf else foxglove.json_transform
+    place = foxglove.protobuf_pose if protobuf else foxglove.json_pose
     with path.open("wb") as file:
         writer = McapWriter(file, chunk_size=4000)
         writer.start("", "tests")
@@ -402,11 +276,11 @@ def write_foxglove_mcap(path: Path, encoding: str, *, poses: bool = False) -> No
             write("/tf", "FrameTransform", START, transform(START, edge))
         for kind, stamp_ns, index in events():
             if kind == "scan":
-                write("/laser", "LaserScan", stamp_ns, scan(stamp_ns, index))
+                write("/laser", "LaserScan", stamp_ns, scan(stamp_ns, ranges(index).tolist()))
             elif poses:
-                write("/pose", "PoseInFrame", stamp_ns, place(stamp_ns))
+                write("/pose", "PoseInFrame", stamp_ns, place(stamp_ns, pose(stamp_ns)))
             else:
-                data = transform(stamp_ns, odometry_edge(stamp_ns))
+                data = transform(stamp_ns, foxglove.odometry_edge(pose(stamp_ns)))
                 write("/tf", "FrameTransform", stamp_ns, data)
         writer.finish()
 

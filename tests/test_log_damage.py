@@ -201,7 +201,7 @@ def test_a_missing_file_is_refused(tmp_path):
 def test_an_old_bag_is_refused_with_the_reason(tmp_path):
     path = tmp_path / "old.bag"
     path.write_bytes(b"#ROSBAG V1.2\n" + b"\0" * 100)
-    with pytest.raises(InputError, match="1.2"):
+    with pytest.raises(InputError, match=r"1\.2"):
         open_recording([path], InputConfig())
 
 

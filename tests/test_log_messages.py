@@ -6,6 +6,7 @@ import json
 import math
 import struct
 
+import foxglove_cases as fox
 import log_cases as cases
 import numpy as np
 import pytest
@@ -139,16 +140,16 @@ def test_bytes_that_are_no_message_give_a_decoding_error_or_values(decode, data)
 
 @pytest.mark.parametrize("packed", [True, False])
 def test_protobuf_ranges_may_be_packed_or_not(packed):
-    (raw,) = foxglove.laser_scan_protobuf(cases.protobuf_scan(7, 3, packed=packed))
+    (raw,) = foxglove.laser_scan_protobuf(fox.protobuf_scan(7, cases.ranges(3), packed=packed))
     np.testing.assert_array_equal(raw.ranges, cases.ranges(3).astype(np.float32))
     assert raw.stamp_ns == 7
 
 
 def test_protobuf_times_before_the_epoch_and_unknown_fields():
-    before = cases._varint((1 << 64) - 2)  # -2 seconds
-    timestamp = cases._field(1, 0, before) + cases._field(2, 0, cases._varint(500))
-    unknown = cases._field(15, 5, b"abcd") + cases._nested(14, b"xyz")
-    data = cases._nested(1, timestamp) + cases._nested(2, b"odom") + unknown
+    before = fox.varint((1 << 64) - 2)  # -2 seconds
+    timestamp = fox.field(1, 0, before) + fox.field(2, 0, fox.varint(500))
+    unknown = fox.field(15, 5, b"abcd") + fox.nested(14, b"xyz")
+    data = fox.nested(1, timestamp) + fox.nested(2, b"odom") + unknown
     (reading,) = foxglove.pose_in_frame_protobuf(data)
     assert reading == Odometry(-2 * 10**9 + 500, 0.0, 0.0, 0.0, frame="odom")
 
@@ -163,7 +164,7 @@ def test_json_times_come_in_several_spellings(when):
 
 
 def test_a_scan_with_a_pose_of_its_own_has_a_frame_of_its_own():
-    message = json.loads(cases.json_scan(5, 0))
+    message = json.loads(fox.json_scan(5, [1.0, 2.0]))
     message["pose"]["position"]["x"] = 0.3
     edge, raw = foxglove.laser_scan_json(json.dumps(message).encode())
     assert edge == Transform(5, "laser", "laser#scan", (0.3, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
