@@ -108,8 +108,8 @@ class NoiseConfig(Section):
 class FilterConfig(Section):
     """What becomes a measurement, and when."""
 
-    key_distance: Positive = Field(0.1, description="metres between scans that the filter uses")
-    key_angle: Positive = Field(0.05, description="radians between scans that the filter uses")
+    key_distance: Positive = Field(0.15, description="metres between scans that the filter uses")
+    key_angle: Positive = Field(0.07, description="radians between scans that the filter uses")
     min_match_length: Positive = Field(0.3, description="metres; a segment that may be matched")
     min_new_length: Positive = Field(0.4, description="metres; a segment that may found a wall")
     wall_sigma: NonNegative = Field(0.02, description="metres; walls are not lines")
@@ -170,10 +170,12 @@ class DoorConfig(Section):
     max_width: Positive = Field(1.7, description="metres between the jambs, as passed")
     widening: Positive = Field(0.35, description="metres wider on either side of it")
     reach: Positive = Field(1.0, description="metres of path on which it must widen")
-    min_evidence: float = Field(
-        0.9,
-        description="metres of wall on the line through the jambs, less metres of opening; that "
-        "many times the width of an opening wider than one metre",
+    possible: Positive = Field(
+        0.75, description="metres of wall on the line through the jambs, less metres of opening, "
+        "as a multiple of the width or a metre: a new area is begun"
+    )  # fmt: skip
+    certain: Positive = Field(
+        0.9, description="the same in the mean of all crossings, in the end: it is a door"
     )
     hysteresis: Positive = Field(0.4, description="metres beyond a known door to have crossed it")
 
@@ -183,8 +185,11 @@ class AreaConfig(Section):
 
     max_objects: int = Field(300, ge=20, description="walls and ends in one area's state")
     max_extent: Positive = Field(40.0, description="metres from the area's frame")
-    min_area: Positive = Field(4.0, description="square metres of free space that an area needs")
-    furniture: NonNegative = Field(0.8, description="metres; narrower gaps in it count as free")
+    min_area: Positive = Field(5.0, description="square metres of free space that an area needs")
+    opening: Positive = Field(
+        0.8, description="metres; what is seen through a narrower one lies outside"
+    )
+    furniture: NonNegative = Field(1.2, description="metres; narrower gaps in it count as free")
     outline: Positive = Field(0.1, description="metres to which an area's outline is true")
     corridor_width: Positive = Field(3.5, description="metres; a corridor is nowhere wider")
     corridor_length: Positive = Field(4.0, description="widths; a corridor is longer")

@@ -48,12 +48,28 @@ def surprise(nis: float, rows: int, delta_r: Array, shrunk: Array) -> Surprise:
     Delta_r: (3,) the robot's correction; shrunk: (3, 3) the robot's covariance before the update
     minus after it, in the same coordinates.
     """
-    spread = np.sqrt(np.maximum(np.diagonal(shrunk), 1e-18))
-    unit = shrunk / np.outer(spread, spread) + 1e-9 * np.eye(3)
-    z = delta_r / spread
-    robot = float(z @ np.linalg.solve(unit, z))
-    robot = min(max(robot, 0.0), nis)
+    robot = min(max(_mahalanobis3(delta_r.tolist(), shrunk.tolist()), 0.0), nis)
     return Surprise(robot / 3.0, (nis - robot) / (rows - 3))
+
+
+def _mahalanobis3(d: list[float], D: list[list[float]]) -> float:
+    """`d^T D^-1 d` in three dimensions, by elimination; a direction of no variance tells nothing.
+
+    Written out: this small a system is solved faster than an array function is called.
+    """
+    total = 0.0
+    floor = [1e-9 * D[i][i] + 1e-18 for i in range(3)]
+    for i in range(3):
+        pivot = D[i][i]
+        if pivot <= floor[i]:
+            continue
+        total += d[i] * d[i] / pivot
+        for j in range(i + 1, 3):
+            factor = D[j][i] / pivot
+            d[j] -= factor * d[i]
+            for k in range(i + 1, 3):
+                D[j][k] -= factor * D[i][k]
+    return total
 
 
 def adapted(scale: NoiseScale, seen: Surprise, rate: float, config: NoiseConfig) -> NoiseScale:

@@ -111,16 +111,13 @@ def _new_ends(
     config: Config,
 ) -> AreaMap:
     """Ends that no known end explains: of matched segments, and of those that found a wall."""
+    fresh = view.end_kind != END_OPEN
+    fresh[matches.end_segment, matches.end_side] = False
     segments = np.concatenate((matches.segment, founded))
-    walls = np.concatenate((matches.wall, known + np.arange(len(founded))))
-    i, side = np.nonzero(view.end_kind[segments] != END_OPEN)
+    i, side = np.nonzero(fresh[segments])
     if not len(i):
         return area
-    ends = 2 * segments[i] + side
-    fresh = ~np.isin(ends, 2 * matches.end_segment + matches.end_side)
-    if not fresh.any():
-        return area
-    i, side = i[fresh], side[fresh]
+    walls = np.concatenate((matches.wall, known + np.arange(len(founded))))
     x = _along(area, view, segments[i], walls[i])[np.arange(len(i)), side]
     # A known end of the same wall and side that is near, but did not pass its gate, forbids a
     # second one beside it.
