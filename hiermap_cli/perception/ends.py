@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import LaserConfig, SegmentationConfig
     from hiermap_cli.perception.beams import Beams
-    from hiermap_cli.perception.fitting import Lines
+    from hiermap_cli.perception.fitting import Fit, Lines
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]
@@ -46,77 +46,83 @@ class Ends(NamedTuple):
 class _Extremes(NamedTuple):
     """What is known of the extreme points, all (2, K).
 
-    row, column: their scan and column. x, y: their projections on the line; along: where on it,
-    growing from first to last. met: where their beam meets the line. spacing: between beams there;
-    blur: sigma of `along` by the noise of the range.
+    row, column: their scan and column. along: where on the line they are, growing from first to
+    last. met: where their beam meets the line. spacing: between beams there. slope: tangent of
+    the incidence. range_blur, bearing_blur: sigmas along the line by the noise of each.
     """
 
     row: Index
     column: Index
-    x: Array
-    y: Array
     along: Array
     met: Array
     spacing: Array
-    blur: Array
+    slope: Array
+    range_blur: Array
+    bearing_blur: Array
 
 
 def describe_ends(
     beams: Beams,
     first: Index,
     last: Index,
-    lines: Lines,
+    fit: Fit,
     laser: LaserConfig,
     config: SegmentationConfig,
 ) -> Ends:
     """Ends of the segments whose extreme points are `first` and `last`, (K,) each.
 
-    A free end lies anywhere between its last beam and the next one that passes: its mean is the
-    middle, and its sigma that of a uniform distribution. Other ends are where the last point is.
+    A free end lies anywhere between where its last beam meets the line and the next one does: its
+    mean is the middle, and its sigma that of a uniform distribution and of the line there. Other
+    ends are where the last point is projected on the line.
     """
+    lines = fit.lines
     ends = _extremes(beams, np.stack((first, last)), lines, laser)
-    kind, passing = _beyond(beams, ends, lines, laser, config)
+    kind, reached, passing = _beyond(beams, ends, lines, laser, config)
     _vertices(beams, ends, lines, kind)
     free = kind == END_FREE
-    width = np.minimum(np.abs(passing - ends.met), 4.0 * LOOSE * ends.spacing)
-    shift = np.where(free, 0.5 * width, 0.0) * OUTWARDS
-    sigma = np.where(free, width / np.sqrt(12.0), ends.spacing / np.sqrt(3.0))
+    width = np.minimum(np.abs(passing - reached), 4.0 * LOOSE * ends.spacing)
+    along = np.where(free, reached + 0.5 * width * OUTWARDS, ends.along)
+    nx, ny, d = lines
+    lever = along - (nx * fit.cy - ny * fit.cx)
+    across = (fit.var_d + lever * lever * fit.var_alpha) * ends.slope**2
+    variance = np.where(
+        free, width * width / 12.0 + across, ends.spacing**2 / 3.0 + ends.range_blur**2
+    )
     return Ends(
-        ends.x - shift * lines.ny,
-        ends.y + shift * lines.nx,
+        d * nx - along * ny,
+        d * ny + along * nx,
         kind,
-        np.sqrt(sigma * sigma + ends.blur * ends.blur),
+        np.sqrt(variance + ends.bearing_blur**2),
     )
 
 
 def _extremes(beams: Beams, point: Index, lines: Lines, laser: LaserConfig) -> _Extremes:
     """The extreme points (2, K) of the segments against their lines."""
     nx, ny, d = lines
-    x, y, r = beams.x[point], beams.y[point], beams.r[point]
-    off = nx * x + ny * y - d
-    x, y = x - off * nx, y - off * ny
-    dx, dy = beams.dx[point], beams.dy[point]
+    dx, dy, r = beams.dx[point], beams.dy[point], beams.r[point]
     cosine = np.maximum(nx * dx + ny * dy, GRAZING)
     sine = nx * dy - ny * dx
     row, column = np.divmod(beams.cell[point], beams.ranges.shape[1])
     sigma = laser.sigma_range + laser.sigma_range_scale * r
-    bearing = laser.sigma_bearing * r * cosine
     return _Extremes(
         row,
         column,
-        x,
-        y,
-        nx * y - ny * x,
-        d * sine / cosine,
-        r * beams.spacing / cosine,
-        np.hypot(sigma * sine, bearing),
+        along=r * sine,
+        met=d * sine / cosine,
+        spacing=r * beams.spacing / cosine,
+        slope=sine / cosine,
+        range_blur=sigma * np.abs(sine),
+        bearing_blur=laser.sigma_bearing * r / cosine,
     )
 
 
 def _beyond(
     beams: Beams, ends: _Extremes, lines: Lines, laser: LaserConfig, config: SegmentationConfig
-) -> tuple[Index, Array]:
-    """Kinds of the ends (2, K) by the beams beyond, and where the first one off the line met it."""
+) -> tuple[Index, Array, Array]:
+    """Kinds of the ends (2, K) by the beams beyond, and where the surface ends on the line.
+
+    It ends between where the last beam that ended on the line met it, and where the next met it.
+    """
     width = beams.ranges.shape[1]
     # The beams that are asked lie along the first axis, (m, 2, K).
     column = ends.column + LOOK[:, None, None] * OUTWARDS
@@ -134,18 +140,20 @@ def _beyond(
     cosine = nx * ux + ny * uy
     meets = cosine > GRAZING
     cosine = np.maximum(cosine, GRAZING)
-    sigma = laser.sigma_range + laser.sigma_range_scale * np.minimum(r, beams.reach)
-    tolerance = np.maximum(config.split_floor, config.split_sigmas * sigma * cosine)
+    sigma = laser.sigma_range + laser.sigma_range_scale * np.where(np.isfinite(r), r, 0.0)
+    tolerance = np.maximum(config.split_floor, config.outlier_sigmas * sigma * cosine)
     depth = np.where(meets, r * cosine - d, np.inf)
     unseen = np.isnan(r) | (np.isposinf(r) & (d >= beams.reach * cosine))
-    off_line = ~unseen & (depth > tolerance)
     free = ~unseen & (depth > np.maximum(config.free_depth, 2.0 * tolerance))
     decided = free | unseen | (depth < -tolerance)
-    at = np.argmax(decided, axis=0)[None]
-    free_end = np.take_along_axis(free, at, axis=0)[0]
-    away = np.argmax(off_line, axis=0)[None]
-    passing = np.take_along_axis(d * (nx * uy - ny * ux) / cosine, away, axis=0)[0]
-    return np.where(free_end, END_FREE, END_OPEN).astype(np.int64), passing
+    at = np.argmax(decided, axis=0)
+    free_end = np.take_along_axis(free, at[None], axis=0)[0]
+    met = np.concatenate((ends.met[None], d * (nx * uy - ny * ux) / cosine))
+    step = np.arange(1, len(LOOK) + 1)[:, None, None]
+    on_line = (np.abs(depth) <= tolerance) & (step <= at)
+    last = (on_line * step).max(axis=0)[None]
+    reached, passing = (np.take_along_axis(met, k, axis=0)[0] for k in (last, last + 1))
+    return np.where(free_end, END_FREE, END_OPEN).astype(np.int64), reached, passing
 
 
 def _vertices(beams: Beams, ends: _Extremes, lines: Lines, kind: Index) -> None:
@@ -174,7 +182,7 @@ def _vertices(beams: Beams, ends: _Extremes, lines: Lines, kind: Index) -> None:
     past_a = np.abs(ax * y - ay * x - ends.along[1, a])
     past_b = np.abs(bx * y - by * x - ends.along[0, b])
     reach = 1.5 * gap
-    meet = past_a < reach * ends.spacing[1, a] + 4.0 * ends.blur[1, a] + 0.03
-    meet &= past_b < reach * ends.spacing[0, b] + 4.0 * ends.blur[0, b] + 0.03
+    meet = past_a < reach * ends.spacing[1, a] + 4.0 * ends.range_blur[1, a] + 0.03
+    meet &= past_b < reach * ends.spacing[0, b] + 4.0 * ends.range_blur[0, b] + 0.03
     kind[1, a[meet]] = END_VERTEX
     kind[0, b[meet]] = END_VERTEX

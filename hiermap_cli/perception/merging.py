@@ -134,15 +134,17 @@ def merge(
 
 
 def _merge_neighbours(state: _State, breaks: Mask, config: SegmentationConfig) -> None:
-    """Merge runs that follow on one another, until no line holds two.
+    """Merge runs that follow on one another, beam after beam, until no line holds two.
 
-    One or two points of neither may lie between, if all are of one surface.
+    Beams that say nothing, and one or two points of neither, may lie between on one surface.
     """
     count = len(state.first)
     between = state.last[:-1] + np.arange(1, SOLID + 1)[:, None]
     between = np.minimum(between, state.first[1:])
     whole = (between[-1] == state.first[1:]) & ~breaks[between].any(axis=0)
-    whole |= (between[0] == state.first[1:]) & (state.scan[1:] == state.scan[:-1])
+    cell = state.beams.cell
+    whole |= cell[state.first[1:]] - cell[state.last[:-1]] == 1
+    whole &= state.scan[1:] == state.scan[:-1]
     joined = np.flatnonzero(whole)
     following, preceding = np.full(count, -1), np.full(count, -1)
     following[joined], preceding[joined + 1] = joined + 1, joined

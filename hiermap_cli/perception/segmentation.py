@@ -72,7 +72,7 @@ def segment_block(block: ScanBlock, laser: LaserConfig, config: SegmentationConf
     whole = last - first >= config.min_points
     begin, end = members.point[first[whole]], members.point[last[whole] - 1]
     return _describe(
-        beams, fit.take(whole), begin, end, (last - first)[whole], block.mount, laser, config
+        beams, fit.take(whole), begin, end, (last - first)[whole], block.mount, noise, floors
     )
 
 
@@ -166,7 +166,7 @@ def _describe(
     good = extent >= config.min_length**2
     begin, end, fit, counts = begin[good], end[good], fit.take(good), counts[good]
     lines = fit.lines
-    ends = describe_ends(beams, begin, end, lines, laser, config)
+    ends = describe_ends(beams, begin, end, fit, laser, config)
     origin = np.array([mount.x, mount.y])
     nx, ny, d = lines
     covariance = np.zeros((len(begin), 2, 2))

@@ -24,8 +24,12 @@ class SegmentBlock:
     laser, a segment runs counterclockwise from `p1` to `p2`: the free side is on the left of
     p1 -> p2, the material on the right (a flipped mount is put right by the segmentation).
 
-    scan: (S,) index of the scan in the block. first_beam, last_beam: (S,) inclusive.
-    p1, p2: (S, 2) end points, projections of the extreme points on the line.
+    scan: (S,) index of the scan in the block. first_beam, last_beam: (S,) the beams of the
+        extreme points at p1 and p2; where beams run clockwise, or over the seam of a full circle,
+        the first is the larger.
+    p1, p2: (S, 2) end points, projections of the extreme points on the line; an END_FREE one is
+        the middle between where the last beam meets the line and where the next one, which passes
+        it, does: nearer to the surface's end, and without a bias inwards.
     alpha, d: (S,) Hesse form: the unit normal (cos alpha, sin alpha) points to the **material**
         side, and d = normal . point is the line's signed distance from the robot's origin.
     centre: (S, 2) weighted centre of the points; covariance: (S, 2, 2) of (alpha, d_c), where
@@ -33,7 +37,8 @@ class SegmentBlock:
         for the sensor's bias terms, and move to any other reference point by the lever arm.
     points: (S,) number of points; length: (S,).
     end1, end2: (S,) END_OPEN, END_VERTEX or END_FREE.
-    end_sigma: (S, 2) standard deviation along the line of each end point (beam spacing).
+    end_sigma: (S, 2) standard deviation along the line of each end point (beam spacing), about the
+        surface's end where that is END_FREE or END_VERTEX.
     chi2: (S,) sum of squared residuals over their variances: points - 2 is expected of it.
     """
 
