@@ -72,9 +72,7 @@ def place_draft(
 
 def duplicates(landmarks: Sequence[Placed], config: LandmarkConfig) -> set[int]:
     """Indices of the landmarks that are there once more, and better."""
-    order = sorted(
-        range(len(landmarks)), key=lambda i: (not landmarks[i].fixed, -landmarks[i].utility, i)
-    )
+    order = sorted(range(len(landmarks)), key=lambda i: (_place(landmarks[i]), i))
     kept: list[int] = []
     dropped: set[int] = set()
     for i in order:
@@ -88,6 +86,11 @@ def duplicates(landmarks: Sequence[Placed], config: LandmarkConfig) -> set[int]:
         else:
             kept.append(i)
     return dropped
+
+
+def _place(one: Placed) -> tuple[bool, bool, float]:
+    """What is judged first; a wall by itself only after all that may have it."""
+    return not one.fixed, one.kind == "wall", -one.utility
 
 
 def _again(one: Placed, others: Sequence[Placed], config: LandmarkConfig) -> bool:

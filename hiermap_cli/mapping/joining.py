@@ -47,16 +47,6 @@ class JoinedArea(NamedTuple):
         return uid + self.offset[self.parts.index(part)]
 
 
-def same_places(areas: int, portals: Sequence[Portal]) -> list[tuple[int, ...]]:
-    """The filter's areas grouped by the places that are known to be one, in order."""
-    group = list(range(areas))
-    for portal in portals:
-        if portal.kind == "same":
-            first, second = sorted((group[portal.a], group[portal.b]))
-            group = [first if g == second else g for g in group]
-    return [tuple(i for i in range(areas) if group[i] == g) for g in sorted(set(group))]
-
-
 def join(
     maps: Sequence[AreaMap], portals: Sequence[Portal], parts: Sequence[int], last: int
 ) -> JoinedArea:

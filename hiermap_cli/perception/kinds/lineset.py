@@ -120,7 +120,7 @@ def scan_lines(view: SegmentView) -> LineSet:
     the frame's origin they are not: d has the lever arm of the centre, and `s = t . P` turns
     with the line, `ds = du - d dalpha`.
     """
-    n = len(view)
+    n = len(view.length)
     alpha = wrap(view.theta - 0.5 * np.pi)
     d = np.cos(alpha) * view.centre[:, 0] + np.sin(alpha) * view.centre[:, 1]
     hesse = np.column_stack((alpha, d))
