@@ -62,11 +62,17 @@ def test_a_line_for_every_scan(results, name):
 @pytest.mark.parametrize("name", WORLDS)
 def test_the_model_ends_where_the_trajectory_ends(results, name):
     model = load_model(results[name] / "model.json")
+    events = json.loads((results[name] / "report.json").read_text())["events"]
     last = read_tum(results[name] / "trajectory.tum").poses[-1]
-    np.testing.assert_allclose(model.environment.robot.mean, last, atol=1e-6)
+    # A loop at the environment level also moves the robot within its last area, which the poses
+    # of its path there do not follow: allowed as long as it is small beside what is not known.
+    robot = model.environment.robot
+    loops = any("loop" in event["kind"] or event["kind"] == "area_reentered" for event in events)
+    allowed = 0.25 * np.sqrt(np.diagonal(robot.covariance)) if loops else 0.0
+    assert (np.abs(robot.mean - last) <= allowed + 1e-6).all()
     frames = dict(model.environment.areas)
     ends = [compose(frames[area.id].mean, area.robot.mean) for area in model.areas]
-    assert min(np.abs(end - last).max() for end in ends) < 1e-6
+    assert min(np.abs(end - robot.mean).max() for end in ends) < 1e-6
 
 
 @pytest.mark.parametrize("name", WORLDS)

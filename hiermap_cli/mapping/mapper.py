@@ -110,9 +110,15 @@ class Mapper:
             self.trail.enter(area, self.area.V)
 
     def finish(self) -> None:
-        """The end of the log: scans that still wait for a key scan get their place."""
+        """The end of the log: scans that still wait for a key scan get their place.
+
+        The robot goes with the last of them, so that the levels end where the trajectory ends.
+        """
         if self._odometry is not None:
+            left = self.trail.last_increment()
             self.trail.finish(self._motion)
+            if left is not None:
+                self._set(replace(self.area, V=predict(self.area.V, self._motion(left))))
             self.crossings.finish()
 
     def _motion(self, increment: Array) -> Motion:

@@ -72,6 +72,10 @@ class Trail:
         """Stamp of the last scan taken in, key scan or not."""
         return self._waiting[-1][0] if self._waiting else self.stamps_ns[-1]
 
+    def last_increment(self) -> Array | None:
+        """The odometry from the last key scan to the last scan, or None if that is the same."""
+        return self._waiting[-1][1] if self._waiting else None
+
     def finish(self, carry: Callable[[Array], Motion]) -> None:
         """Scans after the last key scan stay where odometry put them; `carry` is its model."""
         if self._waiting:
