@@ -10,7 +10,7 @@ from hiermap_cli.errors import InputError
 from hiermap_cli.estimation import motion as odometry_model
 from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import WALL, AreaMap
+from hiermap_cli.mapping.area_map import AreaMap
 from hiermap_cli.mapping.doors import (
     between_faces,
     door_drafts,
@@ -19,7 +19,7 @@ from hiermap_cli.mapping.doors import (
     passages,
 )
 from hiermap_cli.mapping.duplicates import Placed, duplicates, place_draft
-from hiermap_cli.mapping.joining import JoinedArea, join, same_places
+from hiermap_cli.mapping.joining import JoinedArea, join
 from hiermap_cli.mapping.landmarks import (
     Draft,
     find_landmarks,
@@ -38,6 +38,7 @@ from hiermap_cli.mapping.model import (
     MapResult,
     Metric,
 )
+from hiermap_cli.mapping.rooms import Rooms, decide, extent
 from hiermap_cli.mapping.walls import wall_lines
 
 if TYPE_CHECKING:
@@ -96,23 +97,27 @@ def assemble(mapper: Mapper) -> MapResult:
         raise InputError("the log holds no scan to map; `hiermap inspect` shows what it holds")
     mapper.finish()
     levels = compose_levels(mapper)
-    parts = same_places(len(mapper.areas), mapper.portals)
-    found = _find(mapper, levels, parts)
-    doors = _doors(mapper.portals, levels, found)
-    areas = tuple(_area(mapper, levels, found, i, doors) for i in range(len(found)))
+    frames = se2.compose(levels.frames, se2.invert(levels.shifts))
+    rooms = decide(
+        mapper.areas, mapper.portals, mapper.crossings.places, frames,
+        mapper.config.doors, mapper.config.areas,
+    )  # fmt: skip
+    found = _find(mapper, levels, rooms)
+    doors = _doors(rooms.portals, levels, found)
+    areas = tuple(_area(mapper, levels, rooms, found[i], i, doors) for i in range(len(found)))
     landmarks = tuple(model for i, one in enumerate(found) for model in _landmarks(one, i))
     return MapResult(
         model=HierarchicalModel(_environment(levels, found, doors), areas, landmarks),
         trajectory=levels.trajectory,
         trajectory_filter=levels.trajectory,
-        events=_events(mapper, parts, doors),
+        events=_events(mapper, rooms, doors),
         metrics=_metrics(mapper, found),
         timing={},
         dropped={},
     )
 
 
-def _find(mapper: Mapper, levels: Levels, parts: Sequence[tuple[int, ...]]) -> list[FoundArea]:
+def _find(mapper: Mapper, levels: Levels, rooms: Rooms) -> list[FoundArea]:
     """The areas of the result, each of one or several of the filter's, and their landmarks."""
     maps = [
         AreaMap(V, area.features, area.next_uid)
@@ -122,10 +127,10 @@ def _find(mapper: Mapper, levels: Levels, parts: Sequence[tuple[int, ...]]) -> l
     last_seen[mapper.current] = len(mapper.trail.area)
     config: LandmarkConfig = mapper.config.landmarks
     every: list[AreaDrafts] = []
-    for members in parts:
+    for members in rooms.parts:
         last = max(members, key=lambda p: last_seen.get(p, -1))
-        area = join(maps, mapper.portals, members, last)
-        sides = door_sides(area, mapper.portals)
+        area = join(maps, rooms.portals, members, last)
+        sides = door_sides(area, rooms.portals)
         walls = wall_lines(area.map.V, area.map.features, config, passages(area, sides))
         choice = find_landmarks(walls, config)
         drafts, doors = door_drafts(area, walls, sides, choice.kept, config)
@@ -182,21 +187,27 @@ def _landmarks(found: FoundArea, i: int) -> list[LandmarkModel]:
 def _area(
     mapper: Mapper,
     levels: Levels,
-    found: Sequence[FoundArea],
+    rooms: Rooms,
+    one: FoundArea,
     i: int,
     doors: dict[int, DoorModel],
 ) -> AreaModel:
     id_ = f"A{i + 1}"
-    one = found[i]
+    parts = one.area.parts
     discovered = [
-        k
-        for k, portal in enumerate(mapper.portals)
-        if portal.b == one.area.parts[0] and portal.a not in one.area.parts
+        rooms.door[k]
+        for k, portal in enumerate(rooms.portals)
+        if portal.b == parts[0] and portal.a not in parts
     ]
-    entered = doors.get(discovered[0]) if discovered and i > 0 else None
+    door = discovered[0] if discovered and i > 0 else None
+    entered = None if door is None else doors.get(door)
+    R_0_p = se2.compose(one.area.R_0_p, se2.invert(levels.shifts[list(parts)]))
+    where = extent(
+        parts, R_0_p, rooms, mapper.areas, mapper.crossings.places, mapper.config.areas
+    )
     return AreaModel(
         id=id_,
-        kind="unknown",
+        kind=where.kind,
         entered_by=None if entered is None else entered.id,
         robot=Estimate(id_, one.area.map.V.robot, one.covariance[:3, :3]),
         landmarks=tuple(
@@ -204,46 +215,8 @@ def _area(
             for k, draft in enumerate(one.drafts)
         ),
         covariance=one.covariance,
-        extent=_hull(_seen_points(mapper, levels, one.area)),
+        extent=where.polygon,
     )
-
-
-def _seen_points(mapper: Mapper, levels: Levels, area: JoinedArea) -> Array:
-    """Where the robot was in the area and where its walls end, (m, 2)."""
-    trail = mapper.trail
-    points = []
-    for part, R_0_p in zip(area.parts, area.R_0_p, strict=True):
-        here = np.flatnonzero(np.array(trail.area) == part)
-        poses = np.array([trail.poses[k] for k in here]).reshape(-1, 3)
-        points.append(se2.compose(R_0_p, se2.between(levels.shifts[part], poses))[:, :2])
-    f = area.map.features
-    walls = np.flatnonzero(f.kind == WALL)
-    for along in (f.lo[walls], f.hi[walls]):
-        offset = np.column_stack((along, 0 * along, 0 * along))
-        points.append(se2.compose(area.map.V.poses[1 + walls], offset)[:, :2])
-    return np.concatenate(points)
-
-
-def _hull(points: Array) -> Array:
-    """Convex hull (m, 2), counterclockwise; a small square about points that span no area."""
-    points = np.unique(points, axis=0)
-    halves = []
-    for ordered in (points, points[::-1]):
-        chain: list[Array] = []
-        for p in ordered:
-            while len(chain) > 1 and _turn(chain[-2], chain[-1], p) <= 0.0:
-                chain.pop()
-            chain.append(p)
-        halves.append(chain[:-1])
-    hull = np.array(halves[0] + halves[1]).reshape(-1, 2)
-    if len(hull) >= 3:
-        return hull
-    square: Array = points.mean(axis=0) + 0.1 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    return square
-
-
-def _turn(a: Array, b: Array, c: Array) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def _doors(
@@ -304,11 +277,13 @@ def _environment(
 
 
 def _events(
-    mapper: Mapper, parts: Sequence[tuple[int, ...]], doors: dict[int, DoorModel]
+    mapper: Mapper, rooms: Rooms, doors: dict[int, DoorModel]
 ) -> tuple[Event, ...]:
     """The mapper's events, with the final ids of areas and doors."""
-    door_ids = {f"D{k + 1}": door.id for k, door in doors.items()}
-    area_ids = {f"A{p + 1}": f"A{i + 1}" for i, members in enumerate(parts) for p in members}
+    door_ids = {
+        f"D{k + 1}": doors[stands].id for k, stands in enumerate(rooms.door) if stands in doors
+    }
+    area_ids = {f"A{p + 1}": f"A{i + 1}" for i, members in enumerate(rooms.parts) for p in members}
     events = []
     for event in mapper.events:
         details = dict(event.details)
@@ -318,6 +293,18 @@ def _events(
             if key in details:
                 details[key] = area_ids[details[key]]
         events.append(Event(event.stamp_ns, event.kind, details))
+    end = mapper.trail.stamps_ns[-1]
+    for k, reason in rooms.refused:
+        portal = mapper.portals[k]
+        details = {
+            "area": area_ids[f"A{portal.a + 1}"],
+            "reason": reason,
+            "width": portal.width,
+            "wall": portal.wall,
+            "open": portal.open,
+            "crossings": portal.crossings,
+        }
+        events.append(Event(end, "door_refused", details))
     return tuple(events)
 
 

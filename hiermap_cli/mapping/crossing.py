@@ -11,7 +11,14 @@ from hiermap_cli.estimation.stochastic_map import place_robot, relative_covarian
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import area_from_here
 from hiermap_cli.mapping.model import Event
-from hiermap_cli.mapping.passages import KEPT, Passage, PassageDetector, Trace, aligned
+from hiermap_cli.mapping.passages import (
+    KEPT,
+    Passage,
+    PassageDetector,
+    Trace,
+    aligned,
+    needed,
+)
 from hiermap_cli.mapping.places import Places
 from hiermap_cli.mapping.portals import (
     KnownDoors,
@@ -37,6 +44,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 NOWHERE = np.zeros(2)
+NEAR_BY = 4.0  # metres from where it was in an area within which it may know the place again
 LATELY = 8.0  # metres of path that are still the same visit
 
 
@@ -66,7 +74,7 @@ class Crossings:
     portals: list[Portal] = field(default_factory=list)
     current: int = 0
     trace: Trace = field(default_factory=Trace)
-    places: Places = field(default_factory=Places)
+    places: Places = field(init=False)
     _detector: PassageDetector = field(init=False)
     _doors: KnownDoors = field(init=False)
     _recogniser: Recogniser = field(init=False)
@@ -75,6 +83,7 @@ class Crossings:
     _cut: bool = False
 
     def __post_init__(self) -> None:
+        self.places = Places(self.config.areas.opening)
         self._detector = PassageDetector(self.config.doors)
         self._doors = KnownDoors(self.config.doors.hysteresis)
         self._recogniser = Recogniser(self.config)
@@ -95,8 +104,7 @@ class Crossings:
             return self.current
         passage = self._detector.passed(self.trace)
         if passage is not None and not self._doors.near(passage.frame):
-            needed = self.config.doors.min_evidence * max(1.0, passage.width)
-            if passage.evidence >= needed:
+            if passage.evidence >= self.config.doors.possible * needed(passage.width):
                 self._enter_new(now, "door", passage)
                 return self.current
             self._event(now, "door_refused", area=self._name(), **_figures(passage))
@@ -207,7 +215,7 @@ class Crossings:
             # Of one place the area that was begun first is gone on with.
             if (h > self.current) if h in mine else at_home:
                 continue
-            if not self.places.known_ground(h, R_h_r[:2], before, 2.5):
+            if not self.places.known_ground(h, R_h_r[:2], before, NEAR_BY):
                 continue
             region = self.places.region(h, self.areas[h], self.portals)
             if region.contains(R_h_r[:2]):

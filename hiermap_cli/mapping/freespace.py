@@ -165,7 +165,10 @@ class FreeGrid:
         core = np.isin(labels, mine[mine > 0])
         if not core.any():
             return Region(core, self.first)
-        return Region(free & (ndimage.distance_transform_edt(~core) <= radius + 0.5), self.first)
+        near = free & (ndimage.distance_transform_edt(~core) <= radius + 0.5)
+        labels, _ = ndimage.label(near)  # again not across a barrier
+        mine = np.unique(labels[core & near])
+        return Region(np.isin(labels, mine[mine > 0]), self.first)
 
     def _cells(self, points: Array) -> Index:
         cells = np.floor(points / CELL).astype(np.int64) - self.first
@@ -185,29 +188,45 @@ def _moved(R_b_a: Array, points: Array) -> Array:
     return out
 
 
-def outline(region: Region, gap: float, detail: float) -> Array:
-    """The outer boundary (m, 2) of a region, counterclockwise, in the area's frame.
+def closed(region: Region, gap: float) -> Region:
+    """The largest piece of a region, without its holes.
 
-    Gaps and holes up to `gap` metres wide, and all holes inside, are taken for free; the
-    boundary is simplified by `detail` metres. Of several pieces the largest is taken; without
-    cells it is empty, (0, 2).
+    Gaps up to `gap` metres wide, as between furniture, are taken for free.
     """
     from scipy import ndimage
 
     if not region.mask.any():
-        return np.zeros((0, 2))
-    radius = max(1, round(0.5 * gap / CELL))
-    grid = np.pad(region.mask, radius + 2)
-    ball = np.hypot(*np.indices((2 * radius + 1,) * 2) - radius) <= radius + 0.5
-    closed = ndimage.binary_fill_holes(ndimage.binary_closing(grid, ball))
-    labels, count = ndimage.label(closed)
+        return region
+    radius = 0.5 * gap / CELL
+    pad = int(radius) + 2
+    grid = np.pad(region.mask, pad)
+    near = ndimage.distance_transform_edt(~grid) <= radius
+    filled = ndimage.binary_fill_holes(grid | (ndimage.distance_transform_edt(near) > radius))
+    labels, count = ndimage.label(filled)
     if count > 1:
         sizes = np.bincount(labels.ravel())
         sizes[0] = 0
-        closed = labels == int(np.argmax(sizes))
-    corners = _boundary(closed)
-    points = CELL * (corners + np.array(region.first) - (radius + 2))
-    return simplified(points, detail)
+        filled = labels == int(np.argmax(sizes))
+    return Region(filled, (region.first[0] - pad, region.first[1] - pad))
+
+
+def half_width(region: Region) -> float:
+    """Radius of the largest circle inside a region, metres; 0 without cells."""
+    from scipy import ndimage
+
+    if not region.mask.any():
+        return 0.0
+    return CELL * float(ndimage.distance_transform_edt(np.pad(region.mask, 1)).max())
+
+
+def outline(region: Region, detail: float) -> Array:
+    """The outer boundary (m, 2) of a region of one piece, counterclockwise, in its frame.
+
+    Simplified by `detail` metres; empty, (0, 2), without cells.
+    """
+    if not region.mask.any():
+        return np.zeros((0, 2))
+    return simplified(CELL * (_boundary(region.mask) + np.array(region.first)), detail)
 
 
 def _boundary(mask: Mask) -> Array:

@@ -208,6 +208,15 @@ class PassageDetector:
         return Passage(frame, float(width[i]), float(at[i]), wall, opened)
 
 
+def needed(width: float) -> float:
+    """Metres of wall beside the jambs, less openings, that make a door of this width.
+
+    As much as the width, and a metre beside a narrow one: two pieces of furniture that stand
+    near each other have some wall or other beside them.
+    """
+    return max(1.0, width)
+
+
 def narrowest_chord(point: Array, ends: Array) -> tuple[float, Array]:
     """The narrowest chord through a point between beams' ends: its length, its ends (2, 2).
 

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 APART, APART_ANGLE = 0.25, 0.35  # metres or radians between scans that are looked at
 BESIDE = 0.3  # metres beyond a door's jambs that are barred too
 GROUND = 0.5  # metres: cells by which it is told where the robot was
-DOOR = 1.0  # metres: through a gap no wider than this one sees another area
 
 
 @dataclass(slots=True)
@@ -36,6 +35,7 @@ class Places:
     the robot saw after a door is the next area's, although it learned of the door later.
     """
 
+    opening: float  # metres: what is seen through a narrower one lies outside
     grids: dict[int, FreeGrid] = field(default_factory=dict)
     paths: dict[int, set[tuple[int, int]]] = field(default_factory=dict)
     ground: dict[int, dict[tuple[int, int], float]] = field(default_factory=dict)
@@ -79,8 +79,10 @@ class Places:
         grid.add(trace.origins[i], trace.ends[i])
 
     def known_ground(self, area: int, point: Array, before: float, radius: float) -> bool:
-        """Whether the robot was within `radius` metres of a point of the area, a metre of path
-        `before` at the latest."""
+        """Whether the robot was within `radius` metres of a point of the area, long enough ago.
+
+        before: metres of path at which it was there at the latest.
+        """
         ground = self.ground.get(area)
         if not ground:
             return False
@@ -102,10 +104,19 @@ class Places:
         known = self._regions.get(area)
         if known is not None and known[:2] == (grid.scans, len(doors)):
             return known[2]
-        path = CELL * (np.array(sorted(self.paths[area])) + 0.5)
-        region = grid.region(path, doors, DOOR)
+        region = grid.region(self.path(area), doors, self.opening)
         self._regions[area] = (grid.scans, len(doors), region)
         return region
+
+    def path(self, area: int) -> Array:
+        """Where the robot was in an area: cells' centres (n, 2), in its frame."""
+        return CELL * (np.array(sorted(self.paths.get(area, ()))).reshape(-1, 2) + 0.5)
+
+    def size(self, area: int, map_: AreaMap, portals: Sequence[Portal]) -> float:
+        """Square metres of an area's free space, that between furniture as well."""
+        grid = self.grids.get(area, FreeGrid())
+        doors = door_barriers(area, map_, portals)
+        return grid.region(self.path(area), doors, 0.5 * self.opening).area()
 
     def within(self, trace: Trace, R_h_c: Array, region: Region, since: float) -> bool:
         """Whether all the path since `since` lies in a region of another area."""

@@ -1,0 +1,210 @@
+"""Rooms and corridors: which of the filter's areas are one, and which portals are doors.
+
+The filter begins an area wherever a door may be, and asks later. At the end of the log all that
+was seen is there: every door candidate has the evidence of all its crossings, it is known where
+the robot came round it another way, and how large the areas are that it would part. Candidates
+that do not hold are refused, with the reason, and the areas on both sides are one. Doors found
+twice, in two areas that proved to be one, are one door.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.freespace import FreeGrid, closed, half_width, outline
+from hiermap_cli.mapping.passages import needed
+from hiermap_cli.mapping.places import door_barriers
+from hiermap_cli.mapping.portals import door_frame
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import AreaConfig, DoorConfig
+    from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.mapping.freespace import Region
+    from hiermap_cli.mapping.places import Places
+    from hiermap_cli.mapping.portals import Portal
+
+    Array = NDArray[np.float64]
+
+AreaKind = Literal["room", "corridor", "unknown"]
+
+SAME_DOOR = 0.7  # metres between two sightings of one door
+SAME_HEADING = 0.7  # radians (of the line, not of the direction) between them
+
+
+class Refused(NamedTuple):
+    """A door candidate that is none: the portal's index, and why."""
+
+    portal: int
+    reason: str
+
+
+class Rooms(NamedTuple):
+    """The areas that people see.
+
+    parts: the filter's areas of each, the first entered first, in the order of the first.
+    portals: the portals with their final kinds: "door" once for every door, with all its
+    crossings; refused ones are "same". door: for each portal, the portal that stands for its
+    door, or None. refused: the candidates that are no doors.
+    """
+
+    parts: tuple[tuple[int, ...], ...]
+    portals: tuple[Portal, ...]
+    door: tuple[int | None, ...]
+    refused: tuple[Refused, ...]
+
+
+def decide(
+    areas: Sequence[AreaMap],
+    portals: Sequence[Portal],
+    places: Places,
+    frames: Array,
+    doors: DoorConfig,
+    config: AreaConfig,
+) -> Rooms:
+    """Which areas are one and which portals are doors. frames: (K, 3) of the areas in g."""
+    in_g = np.array(
+        [se2.compose(frames[p.a], door_frame(areas[p.a], p, from_a=True)) for p in portals]
+    ).reshape(-1, 3)
+    case = _Case(portals, in_g, list(range(len(areas))))
+    for p in portals:
+        if p.kind in ("same", "size"):
+            case.join(p.a, p.b)
+    for i in list(case.candidates):
+        if case.group[portals[i].a] == case.group[portals[i].b]:
+            case.refuse([i], "the robot came round it another way")
+    for members in case.doors():
+        if case.evidence(members) < doors.certain * needed(portals[members[0]].width):
+            case.refuse(members, "too little wall beside it, over all crossings")
+    sizes = [places.size(i, area, portals) for i, area in enumerate(areas)]
+    while (small := case.too_small(sizes, config.min_area)) is not None:
+        beside = [m for m in case.doors() if small in case.ends(m[0])]
+        case.refuse(min(beside, key=case.evidence), "the area behind it is too small")
+    return case.closed()
+
+
+class _Case:
+    """What is still open: door candidates, and areas by the group that they belong to.
+
+    A group is named by its first area.
+    """
+
+    def __init__(self, portals: Sequence[Portal], in_g: Array, group: list[int]) -> None:
+        self.portals = portals
+        self.in_g = in_g
+        self.group = group
+        self.candidates = [i for i, p in enumerate(portals) if p.kind == "door"]
+        self.refused: list[Refused] = []
+
+    def join(self, a: int, b: int) -> None:
+        """Two areas are one."""
+        first, second = sorted((self.group[a], self.group[b]))
+        self.group = [first if g == second else g for g in self.group]
+
+    def refuse(self, members: Sequence[int], reason: str) -> None:
+        """These candidates are no doors: the areas that they join are one."""
+        for i in members:
+            self.refused.append(Refused(i, reason))
+            self.candidates.remove(i)
+            self.join(self.portals[i].a, self.portals[i].b)
+
+    def ends(self, i: int) -> set[int]:
+        """The areas on both sides of a candidate."""
+        return {self.group[self.portals[i].a], self.group[self.portals[i].b]}
+
+    def doors(self) -> list[list[int]]:
+        """Candidates by doors: of one door are those between the same areas, in one place."""
+        sets: list[list[int]] = []
+        for i in self.candidates:
+            for members in sets:
+                d = self.in_g[i] - self.in_g[members[0]]
+                near = np.hypot(d[0], d[1]) < SAME_DOOR
+                alike = abs(np.sin(d[2])) < np.sin(SAME_HEADING)
+                if near and alike and self.ends(i) == self.ends(members[0]):
+                    members.append(i)
+                    break
+            else:
+                sets.append([i])
+        return sets
+
+    def evidence(self, members: Sequence[int]) -> float:
+        """Metres of wall less openings beside a door, the mean over all its crossings."""
+        crossings = np.array([self.portals[i].crossings for i in members])
+        net = np.array([self.portals[i].wall - self.portals[i].open for i in members])
+        return float(crossings @ net / crossings.sum())
+
+    def too_small(self, sizes: Sequence[float], least: float) -> int | None:
+        """The smallest area that is too small to be one and has a door to give up."""
+        total = dict.fromkeys(self.group, 0.0)
+        for part, size in enumerate(sizes):
+            total[self.group[part]] += size
+        beside = {g for i in self.candidates for g in self.ends(i)}
+        small = [g for g in beside if total[g] < least]
+        return min(small, key=lambda g: (total[g], g), default=None)
+
+    def closed(self) -> Rooms:
+        """What is decided."""
+        final = list(self.portals)
+        door: list[int | None] = [None] * len(final)
+        for i, _ in self.refused:
+            final[i] = replace(final[i], kind="same")
+        for members in self.doors():
+            best = max(members, key=lambda i: (self.evidence([i]), -i))
+            crossings = sum(self.portals[i].crossings for i in members)
+            for i in members:
+                door[i] = best
+                final[i] = replace(final[i], kind="open")
+            final[best] = replace(self.portals[best], crossings=crossings)
+        names = sorted(set(self.group))
+        parts = tuple(tuple(i for i, g in enumerate(self.group) if g == name) for name in names)
+        return Rooms(parts, tuple(final), tuple(door), tuple(self.refused))
+
+
+class Extent(NamedTuple):
+    """Where an area is: polygon (m, 2) of the free space seen in it, and what it is by shape."""
+
+    polygon: Array
+    kind: AreaKind
+
+
+def extent(
+    parts: Sequence[int],
+    R_0_p: Array,
+    rooms: Rooms,
+    areas: Sequence[AreaMap],
+    places: Places,
+    config: AreaConfig,
+) -> Extent:
+    """The free space of an area of several parts, within its doors.
+
+    R_0_p: (k, 3) the parts' frames, in which the filter ran, in the area's frame.
+    """
+    grid, path, barriers = FreeGrid(), [], []
+    for part, R in zip(parts, R_0_p, strict=True):
+        if part in places.grids:
+            grid = grid.joined(places.grids[part].moved(R))
+        path.append(_moved(R, places.path(part)))
+        barriers += [_moved(R, b) for b in door_barriers(part, areas[part], rooms.portals)]
+    region = closed(grid.region(np.concatenate(path), barriers, config.opening), config.furniture)
+    return Extent(outline(region, config.outline), area_kind(region, config))
+
+
+def area_kind(region: Region, config: AreaConfig) -> AreaKind:
+    """A corridor is narrow everywhere, and long; a room is not; too small an area is unknown."""
+    if region.area() < config.min_area:
+        return "unknown"
+    width = 2.0 * half_width(region)
+    long = region.area() > config.corridor_length * width**2
+    return "corridor" if long and width < config.corridor_width else "room"
+
+
+def _moved(R: Array, points: Array) -> Array:
+    moved: Array = se2.compose(R, np.column_stack((points, np.zeros(len(points)))))[:, :2]
+    return moved
