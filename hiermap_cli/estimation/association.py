@@ -71,6 +71,33 @@ def joint_compatibility(
     return _branch_and_bound(candidates, groups, probability, max_nodes)
 
 
+def without_the_worst(
+    candidates: Candidates, chosen: list[int], probability: float, most: int
+) -> list[int] | None:
+    """The chosen pairs less the few that spoil their joint compatibility; None if too many do.
+
+    With `w = S^-1 y`, leaving out the rows b takes `w_b^T (S^-1)_bb^-1 w_b` off the distance: all
+    single pairs are tried at the cost of one inverse.
+    """
+    rows = candidates.innovation.shape[1]
+    for _ in range(most):
+        at = (np.asarray(chosen)[:, None] * rows + np.arange(rows)).ravel()
+        S_inverse = np.linalg.inv(candidates.covariance[np.ix_(at, at)])
+        y = candidates.innovation[chosen].ravel()
+        w = S_inverse @ y
+        n = len(chosen)
+        blocks = S_inverse.reshape(n, rows, n, rows)[np.arange(n), :, np.arange(n), :]
+        w_b = w.reshape(n, rows)
+        relief = (w_b * np.linalg.solve(blocks, w_b[..., None])[..., 0]).sum(axis=1)
+        worst = int(np.argmax(relief))
+        chosen = chosen[:worst] + chosen[worst + 1 :]
+        if not chosen:
+            return None
+        if float(y @ w) - float(relief[worst]) <= chi_square(probability, rows * len(chosen)):
+            return chosen
+    return None
+
+
 def _distance(candidates: Candidates, chosen: Sequence[int]) -> float:
     rows = candidates.innovation.shape[1]
     at = (np.asarray(chosen)[:, None] * rows + np.arange(rows)).ravel()

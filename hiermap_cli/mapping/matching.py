@@ -6,7 +6,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.association import Candidates, chi_square, joint_compatibility
+from hiermap_cli.estimation.association import (
+    Candidates,
+    chi_square,
+    joint_compatibility,
+    without_the_worst,
+)
 from hiermap_cli.estimation.stochastic_map import Constraint, prepare
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import (
@@ -188,12 +193,16 @@ def _best(segment: Index) -> Index:
 def _jointly_compatible(
     V: StochasticMap, frames: Frames, view: SegmentView, tried: Pairs, config: AssociationConfig
 ) -> Index:
-    """Branch and bound over all tried pairs."""
+    """The best pairs less one in four at most that spoil them, else branch and bound over all."""
     matches = Matches(tried.segment, tried.wall, _NONE, _NONE, _NONE)
     F = frames.select(tried.wall)
     S = prepare(V, match_rows(V, F, view, matches), match_noise(F, view, matches)).gain.S
     innovation = innovations(F, view, matches).reshape(-1, 2)
     candidates = Candidates(tried.segment, tried.wall, tried.cost, innovation, S)
+    best = _best(tried.segment).tolist()
+    kept = without_the_worst(candidates, best, config.gate, len(best) // 4)
+    if kept is not None:
+        return np.array(kept, dtype=np.int64)
     return np.array(joint_compatibility(candidates, config.gate), dtype=np.int64)
 
 
