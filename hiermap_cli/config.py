@@ -115,6 +115,7 @@ class FilterConfig(Section):
     wall_sigma: NonNegative = Field(0.02, description="metres; walls are not lines")
     wall_sigma_theta: NonNegative = Field(0.01, description="radians; walls are not lines")
     end_spacing: Positive = Field(0.5, description="metres between different ends of a wall")
+    end_patience: int = Field(8, ge=1, description="key scans within which an end is seen twice")
     end_sigma: NonNegative = Field(0.03, description="metres; ends of walls are not points")
 
 
@@ -210,7 +211,7 @@ class LandmarkConfig(Section):
 
     end_seen: int = Field(3, ge=1, description="sightings after which a wall is known to end there")
     min_angle: Positive = Field(0.35, description="radians between the walls of a corner")
-    corner_gap: Positive = Field(0.3, description="metres from a wall's end to the corner's vertex")
+    corner_gap: Positive = Field(0.4, description="metres from a wall's end to the corner's vertex")
     parallel: Positive = Field(0.12, description="radians between walls that count as parallel")
     door_min_width: Positive = Field(0.6, description="metres between jambs")
     door_max_width: Positive = Field(1.4, description="metres between jambs; wider is no door")

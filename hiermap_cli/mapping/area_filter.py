@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from hiermap_cli.perception.segments import END_OPEN
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hiermap_cli.config import Config, ForgetConfig
+    from hiermap_cli.config import Config, FilterConfig, ForgetConfig
     from hiermap_cli.mapping.area_map import Matches
     from hiermap_cli.perception.views import SegmentView
 
@@ -65,7 +66,7 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
         degrees = len(constraint.innovation)
         if degrees >= LEAST_ROWS:
             told = _surprise(area.V, V, nis, degrees)
-        area = _seen(AreaMap(V, area.features, area.next_uid), view, matches, key)
+        area = _seen(AreaMap(V, area.features, area.next_uid, area.glimpsed), view, matches, key)
     known = len(area.features.uid)
     new = ~found.near & (view.length >= config.filter.min_new_length)
     area = add_walls(area, view, np.flatnonzero(new), key)
@@ -91,7 +92,8 @@ def _seen(area: AreaMap, view: SegmentView, matches: Matches, key: int) -> AreaM
     objects = np.concatenate((matches.wall, matches.end))
     seen[objects] = f.seen[objects] + 1  # once a scan, however many of its segments lie on it
     last[objects] = key
-    return AreaMap(area.V, f._replace(lo=lo, hi=hi, seen=seen, last=last), area.next_uid)
+    features = f._replace(lo=lo, hi=hi, seen=seen, last=last)
+    return AreaMap(area.V, features, area.next_uid, area.glimpsed)
 
 
 def _along(area: AreaMap, view: SegmentView, segments: Index, walls: Index) -> Array:
@@ -131,7 +133,29 @@ def _new_ends(
         beside[a[np.abs(R_w_e[:, 0] - x[a]) < config.filter.end_spacing]] = True
         i, side, x = i[~beside], side[~beside], x[~beside]
     sigma = view.end_sigma[segments[i], side]
-    return add_ends(area, walls[i], x, sigma, side, key)
+    seen_twice, glimpsed = _glimpsed_before(area, walls[i], side, x, sigma, key, config.filter)
+    area = replace(area, glimpsed=glimpsed)
+    at = np.flatnonzero(seen_twice)
+    return add_ends(area, walls[i[at]], x[at], sigma[at], side[at], key)
+
+
+def _glimpsed_before(
+    area: AreaMap,
+    walls: Index,
+    sides: Index,
+    x: Array,
+    sigma: Array,
+    key: int,
+    config: FilterConfig,
+) -> tuple[NDArray[np.bool_], Array]:
+    """Which of the new ends were glimpsed shortly before, and the glimpses to remember now."""
+    old = area.glimpsed[area.glimpsed[:, 3] >= key - config.end_patience]
+    uid = area.features.uid[walls]
+    same = (old[:, 0] == uid[:, None]) & (old[:, 1] == sides[:, None])
+    same &= np.abs(old[:, 2] - x[:, None]) < 4.0 * sigma[:, None]
+    again = same.any(axis=1)
+    first = np.column_stack((uid, sides, x, np.full(len(x), float(key))))[~again]
+    return again, np.concatenate((old[~same.any(axis=0)], first))
 
 
 def forget_unseen(area: AreaMap, key: int, config: ForgetConfig) -> tuple[AreaMap, int]:

@@ -11,7 +11,7 @@ and each end once; nothing is counted twice. Corners, doors and corridors are gr
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -63,13 +63,21 @@ EMPTY = Features(
 )  # fmt: skip
 
 
+NO_GLIMPSES = np.zeros((0, 4))
+
+
 @dataclass(frozen=True, slots=True)
 class AreaMap:
-    """V and C(V) of one area and its features; `next_uid` is the next free uid."""
+    """V and C(V) of one area and its features; `next_uid` is the next free uid.
+
+    glimpsed: (g, 4) ends seen once, which are not in V yet: uid of the wall, side, x along the
+    wall, key scan. Most ends that are seen once are seen never again.
+    """
 
     V: StochasticMap
     features: Features
     next_uid: int = 0
+    glimpsed: Array = field(default_factory=lambda: NO_GLIMPSES)
 
 
 class Frames(NamedTuple):
@@ -235,7 +243,7 @@ def add_walls(area: AreaMap, view: SegmentView, segments: Index, key: int) -> Ar
         seen=np.ones(k, dtype=np.int64),
         last=np.full(k, key),
     )
-    return AreaMap(V, joined(area.features, new), area.next_uid + k)
+    return AreaMap(V, joined(area.features, new), area.next_uid + k, area.glimpsed)
 
 
 def add_ends(
@@ -274,7 +282,7 @@ def add_ends(
         seen=np.ones(k, dtype=np.int64),
         last=np.full(k, key),
     )
-    return AreaMap(V, joined(area.features, new), area.next_uid + k)
+    return AreaMap(V, joined(area.features, new), area.next_uid + k, area.glimpsed)
 
 
 def forget(area: AreaMap, drop: NDArray[np.bool_]) -> AreaMap:
