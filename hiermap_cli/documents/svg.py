@@ -113,7 +113,7 @@ def map_svg(model: HierarchicalModel, trajectory: Trajectory) -> str:
     kinds = {area.id: area.kind for area in model.areas}
     labels = _Labels()
     parts = [_head(canvas)]
-    fills = {id_: _FILLS[index % len(_FILLS)] for index, id_ in enumerate(extents)}
+    fills = _fills(extents)
     for id_ in sorted(extents, key=lambda id_: (-_size(extents[id_]), id_)):
         if len(extents[id_]) < 3:
             continue
@@ -134,6 +134,28 @@ def _moved(R_g_a: Array, points_a: Array) -> Array:
     """Points (m, 2) of frame a in g."""
     moved: Array = points_a @ rotation(R_g_a[2]).T + R_g_a[:2]
     return moved
+
+
+def _fills(extents: dict[str, Array]) -> dict[str, str]:
+    """A colour for each area: of those used before, the one whose areas are farthest away."""
+    boxes: dict[str, list[Array]] = {fill: [] for fill in _FILLS}
+    fills: dict[str, str] = {}
+    for id_, extent in extents.items():
+        if not len(extent):
+            continue
+        box = np.concatenate((extent.min(axis=0), -extent.max(axis=0)))
+
+        def gap(fill: str, box: Array = box) -> float:
+            if not boxes[fill]:
+                return np.inf
+            # Along x and y: how far one box begins behind the end of the other.
+            behind = box + np.array(boxes[fill])[:, [2, 3, 0, 1]]
+            apart = np.maximum(np.maximum(behind[:, :2], behind[:, 2:]), 0.0)
+            return float(np.hypot(apart[:, 0], apart[:, 1]).min())
+
+        fills[id_] = max(_FILLS, key=gap)
+        boxes[fills[id_]].append(box)
+    return fills
 
 
 def _landmark_segments(model: HierarchicalModel, frames: dict[str, Array]) -> Array:
