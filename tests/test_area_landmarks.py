@@ -11,12 +11,13 @@ from hiermap_cli.documents.checks import covariance_fault
 from hiermap_cli.estimation.stochastic_map import StochasticMap
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR, AreaMap
-from hiermap_cli.mapping.duplicates import Placed, duplicates
+from hiermap_cli.mapping.duplicates import Placed, contains, duplicates
 from hiermap_cli.mapping.joining import join
 from hiermap_cli.mapping.landmarks import find_landmarks, joint_covariance, landmark_model
 from hiermap_cli.mapping.levels import change_frame
 from hiermap_cli.mapping.portals import Portal
-from hiermap_cli.mapping.walls import wall_lines, wall_pieces
+from hiermap_cli.mapping.walls import at_vertices, wall_lines, wall_pieces
+from hiermap_cli.perception.segments import END_VERTEX
 
 CONFIG = LandmarkConfig()
 SHIFT = np.array([0.4, -0.7, 0.9])
@@ -115,6 +116,29 @@ def test_lines_depend_on_the_state_as_they_say(coordinates):
     np.testing.assert_allclose(walls.by_state, numeric, atol=1e-5)
     expected = walls.by_state @ area.V.covariance @ walls.by_state.T
     np.testing.assert_allclose(walls.lines.covariance, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("coordinates", COORDINATES)
+def test_walls_end_at_the_corners_that_they_make(coordinates):
+    area = room_with_ends(np.random.default_rng(1), coordinates)
+
+    def at_corners(V):
+        return at_vertices(wall_lines(V, area.features, CONFIG), CONFIG)
+
+    before = wall_lines(area.V, area.features, CONFIG)
+    walls = at_corners(area.V)
+    # Four corners of two walls each; only the door's jambs are as they were.
+    assert (walls.lines.kind == END_VERTEX).sum() == 8
+    assert (walls.lines.kind != before.lines.kind).sum() == 8
+    ends = walls.lines.ends
+    np.testing.assert_allclose(ends[1, 1], ends[2, 0], atol=1e-12)
+    numeric = derivative(
+        lambda e: at_corners(moved(area.V, e)).lines.along.ravel(), len(area.V.covariance)
+    )
+    np.testing.assert_allclose(
+        walls.by_state.reshape(5, 4, -1)[:, 2:].reshape(10, -1), numeric, atol=1e-5
+    )
+    assert covariance_fault(walls.lines.covariance) is None
 
 
 @pytest.mark.parametrize("coordinates", COORDINATES)
@@ -270,7 +294,8 @@ def test_areas_that_nothing_joins_cannot_be_joined():
 
 
 def placed(area, pose, *, kind="corner_concave", utility=1.0, material=(0, 1), fixed=False, **more):
-    values = {"binds": ("x", "y", "theta"), "sigma": 0.01, "segments": np.zeros((0, 2, 2))} | more
+    values = {"binds": ("x", "y", "theta"), "sigma": 0.01, "segments": np.zeros((0, 2, 2))}
+    values |= {"inside": True} | more
     return Placed(
         area=area,
         kind=kind,
@@ -286,6 +311,15 @@ def test_of_a_landmark_in_two_areas_the_better_one_is_kept():
     same = [placed(0, [1, 1, 0], utility=3.0), placed(1, [1.1, 1, 1.5], utility=5.0)]
     assert duplicates(same, CONFIG) == {0}
     assert duplicates([same[0]._replace(fixed=True), same[1]], CONFIG) == {1}
+    # What stands in the other area's free space is not this one's, however often it was seen.
+    assert duplicates([same[0], same[1]._replace(inside=False)], CONFIG) == {1}
+
+
+def test_which_points_lie_in_an_area():
+    area = np.array([[0, 0], [4, 0], [4, 1], [1, 1], [1, 3], [0, 3]], dtype=float)
+    at = np.array([[0.5, 2.0], [2.0, 0.5], [2.0, 2.0], [-0.5, 0.5], [3.9, 0.9]])
+    assert contains(area, at).tolist() == [True, True, False, False, True]
+    assert not contains(area[:0], at).any()
 
 
 def test_the_two_faces_of_a_wall_are_not_one():

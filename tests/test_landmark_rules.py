@@ -176,9 +176,9 @@ def test_walls_that_hardly_differ_or_do_not_meet_are_no_corner():
     assert not found(lines_of(flat), "corner_concave")
     apart = np.array([[[-4.0, 0.0], [-0.5, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
     assert not found(lines_of(apart), "corner_concave")
-    near = np.array([[[-4.0, 0.0], [-0.2, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
+    near = np.array([[[-4.0, 0.0], [-0.3, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
     assert found(lines_of(near), "corner_concave")
-    # Nothing says that the walls end there: 20 cm are too far.
+    # Nothing says that the walls end there: 30 cm are too far.
     both_open = [[END_OPEN, END_OPEN], [END_OPEN, END_OPEN]]
     assert not found(lines_of(near, kind=both_open), "corner_concave")
 

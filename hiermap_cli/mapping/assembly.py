@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,22 +10,9 @@ from hiermap_cli.errors import InputError
 from hiermap_cli.estimation import motion as odometry_model
 from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import AreaMap
-from hiermap_cli.mapping.doors import (
-    between_faces,
-    door_drafts,
-    door_in_g,
-    door_sides,
-    passages,
-)
-from hiermap_cli.mapping.duplicates import Placed, duplicates, place_draft
-from hiermap_cli.mapping.joining import JoinedArea, join
-from hiermap_cli.mapping.landmarks import (
-    Draft,
-    find_landmarks,
-    joint_covariance,
-    landmark_model,
-)
+from hiermap_cli.mapping.doors import between_faces, door_in_g
+from hiermap_cli.mapping.found_areas import FoundArea, find_areas
+from hiermap_cli.mapping.landmarks import landmark_model
 from hiermap_cli.mapping.levels import Levels, compose_levels
 from hiermap_cli.mapping.metrics import metric
 from hiermap_cli.mapping.model import (
@@ -38,53 +25,18 @@ from hiermap_cli.mapping.model import (
     MapResult,
     Metric,
 )
-from hiermap_cli.mapping.rooms import Rooms, decide, extent
-from hiermap_cli.mapping.walls import wall_lines
+from hiermap_cli.mapping.rooms import Rooms, decide
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from hiermap_cli.config import LandmarkConfig
     from hiermap_cli.mapping.mapper import Mapper
     from hiermap_cli.mapping.model import LandmarkModel
     from hiermap_cli.mapping.portals import Portal
 
     Array = NDArray[np.float64]
-
-
-class AreaDrafts(NamedTuple):
-    """An area with the landmarks that it shows; `doors`: which of them is a portal's."""
-
-    area: JoinedArea
-    drafts: list[Draft]
-    doors: dict[int, int]
-    dropped: int
-
-
-class FoundArea(NamedTuple):
-    """An area of the result with its landmarks.
-
-    doors: which draft is the landmark of a portal. covariance: joint, additive, of the robot and
-    the drafts. first: number of its first landmark. dropped: landmarks that were not kept.
-    """
-
-    area: JoinedArea
-    drafts: tuple[Draft, ...]
-    doors: dict[int, int]
-    covariance: Array
-    first: int
-    dropped: int
-
-    def id(self, draft: int) -> str:
-        """The id of a landmark."""
-        return f"L{self.first + draft}"
-
-    def block(self, draft: int) -> Array:
-        """Covariance (3, 3) of a landmark's pose in the area."""
-        at = 3 + 3 * draft
-        return self.covariance[at : at + 3, at : at + 3]
 
 
 def assemble(mapper: Mapper) -> MapResult:
@@ -102,9 +54,9 @@ def assemble(mapper: Mapper) -> MapResult:
         mapper.areas, mapper.portals, mapper.crossings.places, frames,
         mapper.config.doors, mapper.config.areas,
     )  # fmt: skip
-    found = _find(mapper, levels, rooms)
+    found = find_areas(mapper, levels, rooms)
     doors = _doors(rooms.portals, levels, found)
-    areas = tuple(_area(mapper, levels, rooms, found[i], i, doors) for i in range(len(found)))
+    areas = tuple(_area(rooms, one, i, doors) for i, one in enumerate(found))
     landmarks = tuple(model for i, one in enumerate(found) for model in _landmarks(one, i))
     return MapResult(
         model=HierarchicalModel(_environment(levels, found, doors), areas, landmarks),
@@ -117,66 +69,6 @@ def assemble(mapper: Mapper) -> MapResult:
     )
 
 
-def _find(mapper: Mapper, levels: Levels, rooms: Rooms) -> list[FoundArea]:
-    """The areas of the result, each of one or several of the filter's, and their landmarks."""
-    maps = [
-        AreaMap(V, area.features, area.next_uid)
-        for V, area in zip(levels.maps, mapper.areas, strict=True)
-    ]
-    last_seen = {area: k for k, area in enumerate(mapper.trail.area)}
-    last_seen[mapper.current] = len(mapper.trail.area)
-    config: LandmarkConfig = mapper.config.landmarks
-    every: list[AreaDrafts] = []
-    for members in rooms.parts:
-        last = max(members, key=lambda p: last_seen.get(p, -1))
-        area = join(maps, rooms.portals, members, last)
-        sides = door_sides(area, rooms.portals)
-        walls = wall_lines(area.map.V, area.map.features, config, passages(area, sides))
-        choice = find_landmarks(walls, config)
-        drafts, doors = door_drafts(area, walls, sides, choice.kept, config)
-        every.append(AreaDrafts(area, drafts, doors, choice.dropped))
-    again = _again(levels, every, config)
-    found: list[FoundArea] = []
-    first = 1
-    for one, twice in zip(every, again, strict=True):
-        kept = [k for k in range(len(one.drafts)) if k not in twice]
-        drafts = [one.drafts[k] for k in kept]
-        found.append(
-            FoundArea(
-                area=one.area,
-                drafts=tuple(drafts),
-                doors={portal: kept.index(k) for portal, k in one.doors.items()},
-                covariance=joint_covariance(one.area.map.V, drafts),
-                first=first,
-                dropped=one.dropped + len(twice),
-            )
-        )
-        first += len(kept)
-    return found
-
-
-def _again(levels: Levels, every: Sequence[AreaDrafts], config: LandmarkConfig) -> list[set[int]]:
-    """Of each area the landmarks that are there once more, and better."""
-    placed: list[Placed] = []
-    index: list[tuple[int, int]] = []
-    for i, one in enumerate(every):
-        root = one.area.parts[0]
-        frame = levels.frames[root]
-        J = se2.additive_D_invariant(frame)
-        C_frame = J @ levels.frame_covariance(root) @ J.T
-        C = joint_covariance(one.area.map.V, one.drafts)
-        for k, draft in enumerate(one.drafts):
-            at = slice(3 + 3 * k, 6 + 3 * k)
-            fixed = k in one.doors.values()
-            placed.append(place_draft(i, draft, frame, C_frame, C[at, at], fixed=fixed))
-            index.append((i, k))
-    twice: list[set[int]] = [set() for _ in every]
-    for j in duplicates(placed, config):
-        i, k = index[j]
-        twice[i].add(k)
-    return twice
-
-
 def _landmarks(found: FoundArea, i: int) -> list[LandmarkModel]:
     V = found.area.map.V
     return [
@@ -184,14 +76,7 @@ def _landmarks(found: FoundArea, i: int) -> list[LandmarkModel]:
     ]
 
 
-def _area(
-    mapper: Mapper,
-    levels: Levels,
-    rooms: Rooms,
-    one: FoundArea,
-    i: int,
-    doors: dict[int, DoorModel],
-) -> AreaModel:
+def _area(rooms: Rooms, one: FoundArea, i: int, doors: dict[int, DoorModel]) -> AreaModel:
     id_ = f"A{i + 1}"
     parts = one.area.parts
     discovered = [
@@ -201,13 +86,9 @@ def _area(
     ]
     door = discovered[0] if discovered and i > 0 else None
     entered = None if door is None else doors.get(door)
-    R_0_p = se2.compose(one.area.R_0_p, se2.invert(levels.shifts[list(parts)]))
-    where = extent(
-        parts, R_0_p, rooms, mapper.areas, mapper.crossings.places, mapper.config.areas
-    )
     return AreaModel(
         id=id_,
-        kind=where.kind,
+        kind=one.extent.kind,
         entered_by=None if entered is None else entered.id,
         robot=Estimate(id_, one.area.map.V.robot, one.covariance[:3, :3]),
         landmarks=tuple(
@@ -215,7 +96,7 @@ def _area(
             for k, draft in enumerate(one.drafts)
         ),
         covariance=one.covariance,
-        extent=where.polygon,
+        extent=one.extent.polygon,
     )
 
 
@@ -276,9 +157,7 @@ def _environment(
     )
 
 
-def _events(
-    mapper: Mapper, rooms: Rooms, doors: dict[int, DoorModel]
-) -> tuple[Event, ...]:
+def _events(mapper: Mapper, rooms: Rooms, doors: dict[int, DoorModel]) -> tuple[Event, ...]:
     """The mapper's events, with the final ids of areas and doors."""
     door_ids = {
         f"D{k + 1}": doors[stands].id for k, stands in enumerate(rooms.door) if stands in doors

@@ -1,8 +1,8 @@
 """Landmarks found twice: seen from another area through a door, or in a place known twice.
 
-A landmark belongs to one area. Where two areas show the same one, the area that is the better
-judge of it keeps it: the one to whose robot it was worth more. Within an area the same holds of
-walls that the filter has twice.
+A landmark belongs to one area. Where two areas show the same one, the one in whose free space it
+stands keeps it, and of several the one to whose robot it was worth more. Within an area the same
+holds of walls that the filter has twice.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _FARTHEST = 0.4  # metres between two sightings of one point, however uncertain their areas are
 _ALIKE = 0.7  # cosine between the sides on which two landmarks have their material
+_BEFORE = 0.3  # metres before a segment's middle, where its area's free space is
 _COVERED = 0.7  # of a wall's length that another landmark has, to be the same
 
 
@@ -34,7 +35,8 @@ class Placed(NamedTuple):
 
     area: the area that has it. pose: (3,). sigma: deviation of its position. material: (2,) unit
     vector towards where most of its material is, zero where it has as much on all sides.
-    segments: (k, 2, 2). utility: what decides between two. fixed: it may not be dropped.
+    segments: (k, 2, 2). utility: what decides between two. inside: whether it lies in its area.
+    fixed: it may not be dropped.
     """
 
     area: int
@@ -45,29 +47,63 @@ class Placed(NamedTuple):
     material: Array
     segments: Array
     utility: float
+    inside: bool
     fixed: bool
 
 
 def place_draft(
-    area: int, draft: Draft, frame: Array, C_frame: Array, C_draft: Array, *, fixed: bool
+    area: int,
+    draft: Draft,
+    frame: Array,
+    C_frame: Array,
+    C_draft: Array,
+    extent: Array,
+    *,
+    fixed: bool,
 ) -> Placed:
-    """A landmark in g. frame: (3,) R_g_a; the covariances (3, 3) are additive."""
+    """A landmark in g. frame: (3,) R_g_a; covariances (3, 3) additive; extent: (m, 2) in a."""
     pose = se2.compose(frame, draft.pose)
     J1 = se2.compose_D_first(frame, draft.pose)[:2]
     J2 = se2.compose_D_second(frame, draft.pose)[:2]
     C = J1 @ C_frame @ J1.T + J2 @ C_draft @ J2.T
     ends = np.array([s.ends for s in draft.shape if isinstance(s, SegmentShape)]).reshape(-1, 2, 2)
-    segments = points.h(pose, ends)
-    run = segments[:, 1] - segments[:, 0]
+    here = points.h(draft.pose, ends)
+    run = here[:, 1] - here[:, 0]
     length = np.hypot(run[:, 0], run[:, 1])
     right = np.column_stack((run[:, 1], -run[:, 0])) / np.maximum(length, 1e-9)[:, None]
-    material = right.sum(axis=0) if len(right) else se2.rotation(pose[2])[:, 1]
+    if len(right):
+        before = here.mean(axis=1) - _BEFORE * right
+    else:
+        right = se2.rotation(draft.pose[2])[:, 1][None]
+        before = draft.pose[:2] - _BEFORE * right
+    material = right.sum(axis=0)
     size = float(np.hypot(*material))
     material = material / size if size > 0.5 else np.zeros(2)
-    sigma = float(np.sqrt(np.linalg.eigvalsh(C)[-1]))
     return Placed(
-        area, draft.kind, draft.binds, pose, sigma, material, segments, draft.utility, fixed
+        area=area,
+        kind=draft.kind,
+        binds=draft.binds,
+        pose=pose,
+        sigma=float(np.sqrt(np.linalg.eigvalsh(C)[-1])),
+        material=se2.rotation(frame[2]) @ material,
+        segments=points.h(frame, here),
+        utility=draft.utility,
+        inside=bool(2 * contains(extent, before).sum() >= len(before)),
+        fixed=fixed,
     )
+
+
+def contains(polygon: Array, at: Array) -> NDArray[np.bool_]:
+    """Which points (n, 2) lie in a polygon (m, 2)."""
+    if len(polygon) < 3:
+        return np.zeros(len(at), dtype=bool)
+    (x1, y1), (x2, y2) = polygon.T[:, :, None], np.roll(polygon, -1, axis=0).T[:, :, None]
+    x, y = at.T
+    spans = (y1 > y) != (y2 > y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = x1 + (y - y1) * (x2 - x1) / (y2 - y1)
+    inside: NDArray[np.bool_] = (spans & (x < crossing)).sum(axis=0) % 2 == 1
+    return inside
 
 
 def duplicates(landmarks: Sequence[Placed], config: LandmarkConfig) -> set[int]:
@@ -88,9 +124,9 @@ def duplicates(landmarks: Sequence[Placed], config: LandmarkConfig) -> set[int]:
     return dropped
 
 
-def _place(one: Placed) -> tuple[bool, bool, float]:
+def _place(one: Placed) -> tuple[bool, bool, bool, float]:
     """What is judged first; a wall by itself only after all that may have it."""
-    return not one.fixed, one.kind == "wall", -one.utility
+    return not one.fixed, not one.inside, one.kind == "wall", -one.utility
 
 
 def _again(one: Placed, others: Sequence[Placed], config: LandmarkConfig) -> bool:

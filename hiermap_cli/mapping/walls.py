@@ -8,15 +8,18 @@ after it ends belongs to another wall.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
+from hiermap_cli.geometry.lines import intersect, intersect_D_lines
 from hiermap_cli.mapping.area_map import END, WALL
+from hiermap_cli.perception.kinds.corner import RULES as CORNERS
 from hiermap_cli.perception.kinds.lineset import NO_PASSAGES, LineSet
-from hiermap_cli.perception.segments import END_FREE, END_OPEN
+from hiermap_cli.perception.segments import END_FREE, END_OPEN, END_VERTEX
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,12 +38,13 @@ class WallLines(NamedTuple):
     """The lines of an area, and how they depend on its state.
 
     lines: in the area's frame. wall: (n,) the object behind each. by_state: (4 n, N) d (alpha,
-    d, s1, s2) / d error of V, line by line.
+    d, s1, s2) / d error of V, line by line. covariance: (N, N) of that error.
     """
 
     lines: LineSet
     wall: Index
     by_state: Array
+    covariance: Array
 
 
 class Piece(NamedTuple):
@@ -102,7 +106,34 @@ def wall_lines(
         covariance=symmetrise(flat @ V.covariance @ flat.T),
         passages=passages,
     )
-    return WallLines(lines, index, flat)
+    return WallLines(lines, index, flat, V.covariance)
+
+
+def at_vertices(walls: WallLines, config: LandmarkConfig) -> WallLines:
+    """The lines with their ends at the corners that they make.
+
+    Where two walls meet, the point where their lines cross tells better where they end than the
+    last beam that hit them.
+    """
+    lines = walls.lines
+    if not len(lines):
+        return walls
+    along, kind, by_state = lines.along.copy(), lines.kind.copy(), walls.by_state.copy()
+    for group in CORNERS.find(lines, np.zeros(len(lines), dtype=bool), config):
+        both = list(group.lines)
+        first, second = lines.hesse[both]
+        V = intersect(first, second)
+        rows = walls.by_state.reshape(len(lines), 4, -1)[both, :2].reshape(4, -1)
+        V_by_state = intersect_D_lines(first, second) @ rows
+        for i, side in zip(both, (1, 0), strict=True):
+            alpha, d = lines.hesse[i]
+            t = np.array([-np.sin(alpha), np.cos(alpha)])
+            along[i, side], kind[i, side] = t @ V, END_VERTEX
+            by_state[4 * i + 2 + side] = t @ V_by_state - d * walls.by_state[4 * i]
+    C = symmetrise(by_state @ walls.covariance @ by_state.T)
+    return walls._replace(
+        lines=replace(lines, along=along, kind=kind, covariance=C), by_state=by_state
+    )
 
 
 def wall_pieces(

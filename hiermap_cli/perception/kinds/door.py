@@ -191,9 +191,9 @@ def _closed(lines: LineSet, group: Group, config: LandmarkConfig) -> bool:
     if across.any():
         return True
     # Something that stands out of the wall: a line from a jamb into the area.
-    at_jamb = np.abs(np.abs(ends[..., 0]) - half) < config.corner_gap
-    at_jamb &= np.abs(v) < config.corner_gap
-    into = at_jamb.any(axis=1) & (v.min(axis=1) < -config.corner_gap)
+    gap = 0.5 * config.corner_gap
+    at_jamb = (np.abs(np.abs(ends[..., 0]) - half) < gap) & (np.abs(v) < gap)
+    into = at_jamb.any(axis=1) & (v.min(axis=1) < -gap)
     steep = np.abs(np.sin(lines.theta - pose[2])) > np.sin(config.min_angle)
     return bool((others & into & steep).any())
 
