@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     Index = NDArray[np.int64]
     Mask = NDArray[np.bool_]
 
-LOOK = np.array((1, 2, 3, 5, 8))  # beams beyond the end that are asked, while undecided
+LOOK = np.array((1, 2, 3, 4, 5))  # beams beyond the end that are asked, while undecided
+NEXT = 4  # of these, so many beams may still be of the surface
 LOOSE = 9  # beams between the ends of two segments that may meet in a vertex, and one
 OUTWARDS = np.array(((-1,), (1,)))  # which way is out, at the first end and at the last
 VERTEX_SINE = 0.17  # lines that differ by less than about ten degrees make no vertex
@@ -141,7 +142,8 @@ def _beyond(
     meets = cosine > GRAZING
     cosine = np.maximum(cosine, GRAZING)
     sigma = laser.sigma_range + laser.sigma_range_scale * np.where(np.isfinite(r), r, 0.0)
-    tolerance = np.maximum(config.split_floor, config.outlier_sigmas * sigma * cosine)
+    noise = config.outlier_sigmas * sigma * cosine
+    tolerance = np.maximum(config.split_floor, noise)
     depth = np.where(meets, r * cosine - d, np.inf)
     unseen = np.isnan(r) | (np.isposinf(r) & (d >= beams.reach * cosine))
     free = ~unseen & (depth > np.maximum(config.free_depth, 2.0 * tolerance))
@@ -150,7 +152,7 @@ def _beyond(
     free_end = np.take_along_axis(free, at[None], axis=0)[0]
     met = np.concatenate((ends.met[None], d * (nx * uy - ny * ux) / cosine))
     step = np.arange(1, len(LOOK) + 1)[:, None, None]
-    on_line = (np.abs(depth) <= tolerance) & (step <= at)
+    on_line = (np.abs(depth) <= noise) & (step <= np.minimum(at, NEXT))
     last = (on_line * step).max(axis=0)[None]
     reached, passing = (np.take_along_axis(met, k, axis=0)[0] for k in (last, last + 1))
     return np.where(free_end, END_FREE, END_OPEN).astype(np.int64), reached, passing

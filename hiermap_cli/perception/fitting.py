@@ -49,6 +49,18 @@ def run_moments(x: Array, y: Array, starts: Index) -> Array:
     return out
 
 
+def inner_moments(x: Array, y: Array, first: Index, last: Index) -> Array:
+    """Sums of 1, x, y, xx, xy, yy over points `first` to `last` (inclusive; (K,)): (6, K).
+
+    The runs are apart, in order, and none is empty.
+    """
+    # Every other of these runs is one asked for; the rest lies between.
+    bounds = np.stack((first, last + 1), axis=1).ravel()
+    out = run_moments(x, y, bounds[:-1] if bounds[-1] == len(x) else bounds)[:, ::2]
+    out[0] = last - first + 1
+    return out
+
+
 def few_moments(x: Array, y: Array, take: Mask) -> Array:
     """Sums of 1, x, y, xx, xy, yy over the points (m, K) that `take` (m, K) marks: (6, K)."""
     x, y = x * take, y * take
@@ -95,15 +107,13 @@ def _principal(sums: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
 class Members(NamedTuple):
     """The points of K segments, segment after segment, each in the order of its beams; M in all.
 
-    point: (M,) into the block's points. starts, counts: (K,). x, y, ux, uy, r: (M,) the points,
-    their beams' unit vectors and ranges.
+    point: (M,) into the block's points. starts, counts: (K,). ux, uy, r: (M,) unit vectors of the
+    points' beams, and their ranges.
     """
 
     point: Index
     starts: Index
     counts: Index
-    x: Array
-    y: Array
     ux: Array
     uy: Array
     r: Array
@@ -112,7 +122,7 @@ class Members(NamedTuple):
         """The members of the segments `which` (K,), and where they stand among these (M,)."""
         here = self.spread(which)
         counts = self.counts[which]
-        chosen = (v[here] for v in (self.x, self.y, self.ux, self.uy, self.r))
+        chosen = (v[here] for v in (self.ux, self.uy, self.r))
         return Members(self.point[here], np.cumsum(counts) - counts, counts, *chosen), here
 
     def between(self, first: Index, last: Index) -> Mask:
@@ -139,7 +149,7 @@ def gather(beams: Beams, index: Index, counts: Index) -> Members:
         index,
         np.cumsum(counts) - counts,
         counts,
-        *(v.take(index, mode="clip") for v in (beams.x, beams.y, beams.dx, beams.dy, beams.r)),
+        *(v.take(index, mode="clip") for v in (beams.dx, beams.dy, beams.r)),
     )
 
 
@@ -197,25 +207,25 @@ def refine(
         keep: (M,) points that count; all if None.
         uneven: (K,) variance of the wall itself, added to that of each point.
     """
-    nx, ny, d = (members.spread(v) for v in lines)
-    x, y, ux, uy = members.x, members.y, members.ux, members.uy
-    residual = nx * x
-    residual += ny * y
-    residual -= d
+    nx, ny = members.spread(lines.nx), members.spread(lines.ny)
+    ux, uy = members.ux, members.uy
     cosine = nx * ux
     cosine += ny * uy
     np.maximum(cosine, GRAZING, out=cosine)
-    along = nx * uy
-    along -= ny * ux  # the beam's component along the wall
-    off_beam = residual / cosine
-    reach = members.r - off_beam
-    s = reach * along
+    s = nx * uy
+    s -= ny * ux  # the beam's component along the wall
+    reach = members.spread(lines.d)
+    reach /= cosine
+    s *= reach
+    residual = members.r - reach
+    residual *= cosine
+    variance = cosine
     if laser.sigma_range_scale or laser.sigma_bearing:
-        variance = (laser.sigma_range + laser.sigma_range_scale * np.abs(reach)) * cosine
+        variance *= laser.sigma_range + laser.sigma_range_scale * reach
         variance *= variance
         variance += (laser.sigma_bearing * s) ** 2
     else:
-        variance = laser.sigma_range * cosine
+        variance *= laser.sigma_range
         variance *= variance
     if uneven is not None:
         variance += members.spread(uneven)

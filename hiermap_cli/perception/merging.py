@@ -110,12 +110,17 @@ def merge(
     first, last = runs
     sums = run_moments(beams.x, beams.y, first)
     solid = np.flatnonzero(last - first + 1 >= SOLID)
+    joined = _follow_on(beams, breaks, first[solid], last[solid])
+    # Small runs without a neighbour are nobody's.
+    beside = np.append(joined, False) | np.append(False, joined)
+    kept = np.flatnonzero(beside | (sums[0, solid] >= config.min_points))
+    solid = solid[kept]
     first, last = first[solid], last[solid]
     pieces = Pieces(sums[:, solid], first, last, first, last, np.arange(len(first)))
     if not len(first):
         return pieces
     state = _State(beams, pieces, laser, (ROUGH * config.split_floor) ** 2)
-    _merge_neighbours(state, breaks, config)
+    _merge_neighbours(state, np.flatnonzero(np.append(joined, False)[kept]), config)
     _merge_across(state, config)
     if beams.cyclic:
         _merge_over_seam(state, config)
@@ -133,19 +138,21 @@ def merge(
     )
 
 
-def _merge_neighbours(state: _State, breaks: Mask, config: SegmentationConfig) -> None:
-    """Merge runs that follow on one another, beam after beam, until no line holds two.
+def _follow_on(beams: Beams, breaks: Mask, first: Index, last: Index) -> Mask:
+    """Whether each run (R,) is followed by the next one, (R - 1,): beam after beam.
 
     Beams that say nothing, and one or two points of neither, may lie between on one surface.
     """
+    between = np.minimum(last[:-1] + np.arange(1, SOLID + 1)[:, None], first[1:])
+    joined = (between[-1] == first[1:]) & ~breaks[between].any(axis=0)
+    start, end = beams.cell[first[1:]], beams.cell[last[:-1]]
+    width = beams.ranges.shape[1]
+    return np.asarray(joined | ((start - end == 1) & (start // width == end // width)))
+
+
+def _merge_neighbours(state: _State, joined: Index, config: SegmentationConfig) -> None:
+    """Merge runs with those that follow on, until no line holds two; `joined` are followed so."""
     count = len(state.first)
-    between = state.last[:-1] + np.arange(1, SOLID + 1)[:, None]
-    between = np.minimum(between, state.first[1:])
-    whole = (between[-1] == state.first[1:]) & ~breaks[between].any(axis=0)
-    cell = state.beams.cell
-    whole |= cell[state.first[1:]] - cell[state.last[:-1]] == 1
-    whole &= state.scan[1:] == state.scan[:-1]
-    joined = np.flatnonzero(whole)
     following, preceding = np.full(count, -1), np.full(count, -1)
     following[joined], preceding[joined + 1] = joined + 1, joined
     i = joined

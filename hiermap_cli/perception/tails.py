@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiermap_cli.perception.beams import concatenated_ranges
-from hiermap_cli.perception.fitting import few_moments, fit_moments, run_moments
+from hiermap_cli.perception.fitting import fit_moments, inner_moments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -114,10 +114,11 @@ def inner_lines(members: Members, laser: LaserConfig) -> tuple[Lines, Index]:
     asked = np.concatenate((step < tail, step < tail))
     place = np.concatenate((starts + tail - 1 - step, starts + counts - tail + step))
     place = np.where(asked, place, starts)
-    x, y = members.x[place], members.y[place]
-    sums = run_moments(members.x, members.y, starts) - few_moments(x, y, asked)
+    x, y = members.r * members.ux, members.r * members.uy
+    sums = inner_moments(x, y, starts + tail, starts + counts - tail - 1)
     lines, scatter = fit_moments(sums)
-
+    ux, uy, r = members.ux[place], members.uy[place], members.r[place]
+    x, y = r * ux, r * uy
     n = sums[0]
     mx, my = sums[1] / n, sums[2] / n
     extent = sums[3] + sums[5] - n * (mx * mx + my * my) - scatter
@@ -128,8 +129,8 @@ def inner_lines(members: Members, laser: LaserConfig) -> tuple[Lines, Index]:
     lever = s * s / np.maximum(extent, 1e-9) + (1.0 + 1.0 / n)
     spread = np.maximum(scatter / np.maximum(n - 2.0, 1.0), 1e-12)
     bound = STUDENT[np.clip(n.astype(np.int64) - 2, 1, len(STUDENT)) - 1]
-    sigma = laser.sigma_range + laser.sigma_range_scale * members.r[place]
-    cosine = nx * members.ux[place] + ny * members.uy[place]
+    sigma = laser.sigma_range + laser.sigma_range_scale * r
+    cosine = nx * ux + ny * uy
     limit = np.maximum((sigma * cosine) ** 2, spread) * STUDENT[-1] ** 2
     np.minimum(limit, bound * bound * spread, out=limit)
     bad = asked & (residual * residual > limit * lever)
