@@ -118,7 +118,7 @@ def _lines_at_cut(beams: Beams, pieces: Pieces, left: Index, right: Index) -> Li
     unsure = np.clip((last - first - 2) // 2, 0, UNSURE)
     step = np.arange(UNSURE)[:, None]
     point = edge + inwards * np.minimum(step, np.maximum(unsure - 1, 0))
-    dropped = few_moments(beams.x[point], beams.y[point], step < unsure)
+    dropped = few_moments(beams.x.take(point), beams.y.take(point), step < unsure)
     return fit_moments(pieces.sums[:, pieces.run_segment[runs]] - dropped)[0]
 
 
@@ -129,7 +129,7 @@ def _residuals(beams: Beams, lines: Lines, point: Index) -> tuple[Array, Array]:
     across a wall seen steeply the noise is small.
     """
     count = point.shape[1]
-    dx, dy, r = beams.dx[point], beams.dy[point], beams.r[point]
+    dx, dy, r = beams.dx.take(point), beams.dy.take(point), beams.r.take(point)
     out = []
     for half in (slice(None, count), slice(count, None)):
         nx, ny, d = (v[half] for v in lines)

@@ -100,7 +100,7 @@ def describe_ends(
 def _extremes(beams: Beams, point: Index, lines: Lines, laser: LaserConfig) -> _Extremes:
     """The extreme points (2, K) of the segments against their lines."""
     nx, ny, d = lines
-    dx, dy, r = beams.dx[point], beams.dy[point], beams.r[point]
+    dx, dy, r = beams.dx.take(point), beams.dy.take(point), beams.r.take(point)
     cosine = np.maximum(nx * dx + ny * dy, GRAZING)
     sine = nx * dy - ny * dx
     row, column = np.divmod(beams.cell[point], beams.ranges.shape[1])
@@ -130,13 +130,13 @@ def _beyond(
     if beams.cyclic:
         column %= width
         cell = ends.row * width + column
-        r = beams.ranges.ravel()[cell]
+        r = beams.ranges.take(cell)
     else:
         seen = (column >= 0) & (column < width)
         cell = ends.row * width + np.clip(column, 0, width - 1)
-        r = np.where(seen, beams.ranges.ravel()[cell], np.nan)
+        r = np.where(seen, beams.ranges.take(cell), np.nan)
     beam = beams.beam(cell)
-    ux, uy = beams.ux[beam], beams.uy[beam]
+    ux, uy = beams.ux.take(beam), beams.uy.take(beam)
     nx, ny, d = lines
     cosine = nx * ux + ny * uy
     meets = cosine > GRAZING

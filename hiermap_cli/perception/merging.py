@@ -52,7 +52,7 @@ class Pieces(NamedTuple):
 class _State:
     """The segments while they are merged: arrays over all of them, changed in place.
 
-    scan: of each segment. scatter, normal, noise: of its fit, the last across it and a point.
+    scan: of each segment. scatter, nx, ny, noise: of its fit, the last across it and a point.
     extent: squared distance between its extreme points. into: the segment it was merged into,
     itself if none. Moments are kept by rows, (K, 6).
     """
@@ -65,7 +65,7 @@ class _State:
         self.scan = beams.cell[pieces.first] // beams.ranges.shape[1]
         self.into = np.arange(count)
         self.scatter, self.noise, self.extent = np.empty(count), np.empty(count), np.empty(count)
-        self.normal = np.empty((2, count))
+        self.nx, self.ny = np.empty(count), np.empty(count)
         self.update(self.into)
 
     def update(self, k: Index) -> None:
@@ -76,11 +76,12 @@ class _State:
         """
         sums, first, last = self.sums.take(k, axis=0).T, self.first[k], self.last[k]
         line, scatter = fit_moments(sums)
-        sigma = self.laser.sigma_range + self.laser.sigma_range_scale * self.beams.r[last]
-        cosine = line.nx * self.beams.dx[last] + line.ny * self.beams.dy[last]
+        beams, laser = self.beams, self.laser
+        sigma = laser.sigma_range + laser.sigma_range_scale * beams.r.take(last)
+        cosine = line.nx * beams.dx.take(last) + line.ny * beams.dy.take(last)
         shown = np.minimum(scatter / np.maximum(sums[0] - 2.0, 1.0), self.uneven)
         self.noise[k] = np.maximum((sigma * cosine) ** 2, shown)
-        self.scatter[k], self.normal[0, k], self.normal[1, k] = scatter, line.nx, line.ny
+        self.scatter[k], self.nx[k], self.ny[k] = scatter, line.nx, line.ny
         self.extent[k] = _square_gap(self.beams, first, last)
 
     def join(self, i: Index, j: Index) -> None:
@@ -232,7 +233,10 @@ def _root(into: Index) -> Index:
 
 def _square_gap(beams: Beams, last: Index, first: Index) -> Array:
     """Squared distance between two points."""
-    return np.asarray((beams.x[first] - beams.x[last]) ** 2 + (beams.y[first] - beams.y[last]) ** 2)
+    x, y = beams.x.take(first), beams.y.take(first)
+    x -= beams.x.take(last)
+    y -= beams.y.take(last)
+    return x * x + y * y
 
 
 def _mergeable(state: _State, i: Index, j: Index, config: SegmentationConfig) -> tuple[Mask, Array]:
@@ -258,20 +262,21 @@ def _one_line(
     good, cost = np.zeros(len(i), dtype=bool), np.full(len(i), np.inf)
     # Two small heaps far apart are no line, although one always goes through both; and what is
     # long enough to have a direction must share it.
-    extents = state.extent[i], state.extent[j]
-    near = _square_gap(state.beams, state.last[i], state.first[j]) <= np.maximum(*extents)
-    alike = (state.normal[:, i] * state.normal[:, j]).sum(axis=0) > ALIKE
+    extents = state.extent.take(i), state.extent.take(j)
+    near = _square_gap(state.beams, state.last.take(i), state.first.take(j)) <= np.maximum(*extents)
+    alike = state.nx.take(i) * state.nx.take(j) + state.ny.take(i) * state.ny.take(j) > ALIKE
     some = np.flatnonzero(near & (alike | (np.minimum(*extents) < SHORT**2)))
     i, j = i[some], j[some]
     both = (state.sums.take(i, axis=0) + state.sums.take(j, axis=0)).T
-    n_i, n_j = state.sums[i, 0], state.sums[j, 0]
+    n_i = state.sums[:, 0].take(i)
+    n_j = both[0] - n_i
     scatter = least_scatter(both)
-    noise = (n_i * state.noise[i] + n_j * state.noise[j]) / both[0]
+    noise = (n_i * state.noise.take(i) + n_j * state.noise.take(j)) / both[0]
     bends = (
         np.minimum(n_i, n_j) * (config.split_floor**2 / 12.0)
         + (config.split_sigmas + 1.0) ** 2 * noise
     )
-    price = (scatter - state.scatter[i] - state.scatter[j]) / bends
+    price = (scatter - state.scatter.take(i) - state.scatter.take(j)) / bends
     freedom = both[0] - 2.0
     most = freedom + config.split_sigmas * np.sqrt(2.0 * freedom)
     fine = np.flatnonzero((price < 1.0) & (scatter < most * (state.uneven + noise)))

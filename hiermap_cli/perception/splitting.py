@@ -36,33 +36,39 @@ def split(
         first, last = first[enough], last[enough]
         if not len(first):
             break
-        at, most, chord, cosine = _farthest(beams, first, last)
-        sigma = laser.sigma_range + laser.sigma_range_scale * beams.r[at]
-        bends = most > np.maximum(config.split_floor, config.split_sigmas * sigma * cosine)
-        bends &= np.maximum(chord, most) > 0.5 * config.min_length
-        first, last, at = first[bends], last[bends], at[bends]
+        at, most, chord, nx, ny = _farthest(beams, first, last)
+        bends = np.flatnonzero(
+            (most > config.split_floor) & (np.maximum(chord, most) > 0.5 * config.min_length)
+        )
+        first, last, at = first.take(bends), last.take(bends), at.take(bends)
+        # Few are left: is it more than noise, across the chord?
+        sigma = laser.sigma_range + laser.sigma_range_scale * beams.r.take(at)
+        cosine = nx.take(bends) * beams.dx.take(at) + ny.take(bends) * beams.dy.take(at)
+        real = most.take(bends) > config.split_sigmas * sigma * np.abs(cosine)
+        first, last, at = first[real], last[real], at[real]
         cut[at + 1] = True
         first, last = np.concatenate((first, at + 1)), np.concatenate((at, last))
     first = np.flatnonzero(cut)
     return first, np.append(first[1:], len(cut)) - 1
 
 
-def _farthest(beams: Beams, first: Index, last: Index) -> tuple[Index, Array, Array, Array]:
-    """The point of each run farthest from its chord, that distance, the chord and its incidence.
+def _farthest(beams: Beams, first: Index, last: Index) -> tuple[Index, Array, Array, Array, Array]:
+    """The point of each run farthest from its chord, that distance, and the chord; all (K,).
 
-    The point is never the last of its run, as it goes to the left part; distance and the chord's
-    length are metres, the incidence is the cosine of that of the point's beam. All (K,).
+    The point is never the last of its run, as it goes to the left part. Of the chord the length,
+    metres like the distance, and the unit normal's x and y.
     """
     count = last - first + 1
     stop = np.cumsum(count)
     starts = stop - count
     index = np.arange(stop[-1])
     index += np.repeat(first - starts, count)
-    x0, y0 = beams.x[first], beams.y[first]
-    tx, ty = beams.x[last] - x0, beams.y[last] - y0
-    chord = np.sqrt(tx * tx + ty * ty)
-    scale = 1.0 / np.where(chord > 0.0, chord, 1.0)
-    nx, ny = -ty * scale, tx * scale
+    x0, y0 = beams.x.take(first), beams.y.take(first)
+    nx, ny = y0 - beams.y.take(last), beams.x.take(last) - x0
+    chord = np.sqrt(nx * nx + ny * ny)
+    scale = 1.0 / np.maximum(chord, 1e-12)
+    nx *= scale
+    ny *= scale
     distance = beams.x.take(index, mode="clip")
     distance *= np.repeat(nx, count)
     term = beams.y.take(index, mode="clip")
@@ -72,5 +78,5 @@ def _farthest(beams: Beams, first: Index, last: Index) -> tuple[Index, Array, Ar
     np.abs(distance, out=distance)
     most = np.maximum.reduceat(distance, starts)
     hits = np.flatnonzero(distance == np.repeat(most, count))
-    at = np.minimum(index[hits[np.searchsorted(hits, starts)]], last - 1)
-    return at, most, chord, np.abs(nx * beams.dx[at] + ny * beams.dy[at])
+    at = index.take(hits.take(np.searchsorted(hits, starts)))
+    return np.minimum(at, last - 1), most, chord, nx, ny

@@ -92,10 +92,10 @@ def _on_line(
     between = np.abs(cell[1:] - cell[:-1]) - 1
     fits = (between >= 0) & (between <= config.max_gap_beams)
     fits &= cell[1:] // width == cell[0] // width
-    sigma = laser.sigma_range + laser.sigma_range_scale * beams.r[near]
+    sigma = laser.sigma_range + laser.sigma_range_scale * beams.r.take(near)
     nx, ny, d = lines
-    off = np.abs(nx * beams.x[near] + ny * beams.y[near] - d)
-    cosine = nx * beams.dx[near] + ny * beams.dy[near]
+    off = np.abs(nx * beams.x.take(near) + ny * beams.y.take(near) - d)
+    cosine = nx * beams.dx.take(near) + ny * beams.dy.take(near)
     fits &= off <= np.maximum(0.5 * config.split_floor, config.split_sigmas * sigma * cosine)
     return np.asarray(fits)
 
@@ -117,7 +117,7 @@ def inner_lines(members: Members, laser: LaserConfig) -> tuple[Lines, Index]:
     x, y = members.r * members.ux, members.r * members.uy
     sums = inner_moments(x, y, starts + tail, starts + counts - tail - 1)
     lines, scatter = fit_moments(sums)
-    ux, uy, r = members.ux[place], members.uy[place], members.r[place]
+    ux, uy, r = members.ux.take(place), members.uy.take(place), members.r.take(place)
     x, y = r * ux, r * uy
     n = sums[0]
     mx, my = sums[1] / n, sums[2] / n
