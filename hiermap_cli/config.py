@@ -171,12 +171,10 @@ class DoorConfig(Section):
     max_width: Positive = Field(1.7, description="metres between the jambs, as passed")
     widening: Positive = Field(0.35, description="metres wider on either side of it")
     reach: Positive = Field(1.0, description="metres of path on which it must widen")
-    possible: Positive = Field(
-        0.75, description="metres of wall on the line through the jambs, less metres of opening, "
-        "as a multiple of the width or a metre: a new area is begun"
-    )  # fmt: skip
-    certain: Positive = Field(
-        0.9, description="the same in the mean of all crossings, in the end: it is a door"
+    min_evidence: Positive = Field(
+        0.75,
+        description="metres of wall on the line through the jambs, less metres of opening, for "
+        "each metre of width (at least one)",
     )
     hysteresis: Positive = Field(0.4, description="metres beyond a known door to have crossed it")
 
@@ -230,7 +228,7 @@ class LandmarkConfig(Section):
     corridor_max_width: Positive = Field(4.0, description="metres between parallel walls")
     corridor_min_length: Positive = Field(3.0, description="metres on which both walls were seen")
     corridor_ratio: Positive = Field(2.0, description="length over width of a corridor, at least")
-    crossing_depth: Positive = Field(0.8, description="metres of a side corridor's walls")
+    crossing_depth: Positive = Field(1.5, description="metres of a side corridor's walls")
     min_wall: Positive = Field(0.8, description="metres of a wall that is a landmark by itself")
     same: Positive = Field(0.25, description="metres within which two landmarks are one")
     prior_sigma: Positive = Field(0.1, description="metres; the robot before it sees the landmark")

@@ -78,7 +78,6 @@ class Crossings:
     _detector: PassageDetector = field(init=False)
     _doors: KnownDoors = field(init=False)
     _recogniser: Recogniser = field(init=False)
-    _entered: float = 0.0
     _began: bool = True
     _cut: bool = False
 
@@ -103,8 +102,8 @@ class Crossings:
             self._reenter(now, through)
             return self.current
         passage = self._detector.passed(self.trace)
-        if passage is not None and not self._doors.near(passage.frame):
-            if passage.evidence >= self.config.doors.possible * needed(passage.width):
+        if passage is not None and not self._doors.leads_out(passage.frame):
+            if passage.evidence >= self.config.doors.min_evidence * needed(passage.width):
                 self._enter_new(now, "door", passage)
                 return self.current
             self._event(now, "door_refused", area=self._name(), **_figures(passage))
@@ -209,7 +208,7 @@ class Crossings:
         mine = self._same_as(self.current)
         at_home = self._on_known_ground()
         # An area that was cut for its size goes on ahead of the cut.
-        before = self._entered - LATELY if self._cut else np.inf
+        before = self.trace.entered - LATELY if self._cut else np.inf
         asked = []
         for h, R_h_r in self._recogniser.candidates(self.area.V.robot):
             # Of one place the area that was begun first is gone on with.
@@ -230,7 +229,7 @@ class Crossings:
 
     def _all_along_in(self, region: Region, R_h_c: Array) -> bool:
         """Whether the robot has been there ever since it began the present area, just now."""
-        return self._began and self.places.within(self.trace, R_h_c, region, self._entered)
+        return self._began and self.places.within(self.trace, R_h_c, region, self.trace.entered)
 
     def _same_as(self, area: int) -> set[int]:
         """Areas that are one place with this one."""
@@ -274,7 +273,9 @@ class Crossings:
         self.portals.append(
             Portal(here, anchor_a, there, anchor_b, kind, np.zeros(3), 0.0, 0.0, 0.0)
         )
+        since = int(np.searchsorted(self.trace.travelled, self.trace.entered))
         self._go(there, V.robot)
+        self._doors.replay(self.trace.poses[since:])
         self._event(
             now,
             "area_recognised",
@@ -295,7 +296,7 @@ class Crossings:
         self._detector.forget_before(self.trace.length)
         self._doors.set(area, self.areas, self.portals)
         self._recogniser.set(area, self.areas, self.portals, self.trace.length)
-        self._entered = self.trace.length
+        self.trace.entered = self.trace.length
         self._began = self._cut = False
 
     def _name(self) -> str:

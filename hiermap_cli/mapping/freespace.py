@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 CELL = 0.1  # metres
 PAD = 32  # cells by which a grid grows at least
 SHORT = 0.15  # metres before a beam's end at which free space ends: the end is not sharp
-STEP = 0.08  # metres between the samples of a beam
+STEP = 0.1  # metres between the samples of a beam
 ENOUGH = 255
 
 
@@ -143,9 +143,9 @@ class FreeGrid:
     def region(self, path: Array, barriers: Iterable[Array], width: float) -> Region:
         """What of the free cells hangs together with the path (k, 2), not across a barrier.
 
-        barriers: segments (2, 2). Where the free space is narrower than `width` metres it ends,
-        unless the path goes on there: so what is seen through a door that the robot did not use
-        stays outside.
+        barriers: segments (2, 2); where they part the path, its larger part counts. Where the
+        free space is narrower than `width` metres it ends, unless the path goes on there: so
+        what is seen through a door that the robot did not use stays outside.
         """
         from scipy import ndimage
 
@@ -155,16 +155,19 @@ class FreeGrid:
             return Region(np.zeros_like(free), self.first)
         for segment in barriers:
             cells = self._cells(_along(segment))
-            free[cells[:, 0], cells[:, 1]] = False
+            for i, j in ((0, 0), (1, 0), (0, 1)):  # so thick that no diagonal leads through
+                x = np.minimum(cells + (i, j), np.array(free.shape) - 1)
+                free[x[:, 0], x[:, 1]] = False
         radius = 0.5 * width / CELL
         wide = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] > radius
         way = np.zeros_like(free)
         way[at[:, 0], at[:, 1]] = True
         labels, _ = ndimage.label(wide | (way & free), np.ones((3, 3)))
-        mine = np.unique(labels[at[:, 0], at[:, 1]])
-        core = np.isin(labels, mine[mine > 0])
-        if not core.any():
-            return Region(core, self.first)
+        visits = np.bincount(labels[at[:, 0], at[:, 1]])
+        visits[0] = 0
+        if not visits.any():
+            return Region(np.zeros_like(free), self.first)
+        core = labels == int(np.argmax(visits))
         near = free & (ndimage.distance_transform_edt(~core) <= radius + 0.5)
         labels, _ = ndimage.label(near)  # again not across a barrier
         mine = np.unique(labels[core & near])

@@ -30,15 +30,20 @@ NEAR = 3.0  # metres: ends nearer than this to the laser tell the width of the p
 KEPT = 5.0  # metres of path that are remembered
 MOST = 150  # scans that are remembered
 APART, APART_ANGLE = 0.08, 0.1  # metres or radians between scans that are remembered
-SAMPLE = 0.1  # metres of path between the points at which its width is taken
+NEAR_APART = 0.15  # metres or (half of it) radians between scans whose ends tell the width
+SAMPLE = 0.12  # metres of path between the points at which its width is taken
 LAG = 0.3  # metres of path beyond a point before its width is taken
 WIDEST = 1.6  # metres from a point of the path in which a jamb is looked for
 SECTORS = 48
 OPPOSITE = 2  # sectors by which the two jambs may miss opposite directions
+# Metres across the line and radians by which a frame is moved to lie along walls, in two rounds.
+COARSE = tuple((0.0, 0.2 * k) for k in (0, 1, -1, 2, -2, 3, -3))
+FINE = tuple((offset, 0.1 * k) for offset in (0.0, 0.1, -0.1) for k in (0, 1, -1))
 BIN = 0.1  # metres of the line beside a jamb that are judged together
 BINS = 12
 THICKNESS = 0.22  # metres off the line at which a beam's end still belongs to the wall
 BEYOND = 0.3  # metres behind the line that a beam must reach to have passed it
+ASIDE = 0.35  # metres beside the jambs that a path through them may seem to be
 STRAIGHT = 0.5  # sine of the angle between the line and a path that crosses it
 STAND_OFF = 0.25  # metres off the line from which it is judged
 
@@ -76,6 +81,8 @@ class Trace:
     near: list[Array] = field(default_factory=list)
     length: float = 0.0
     fresh: int = 0  # of the last scans: not yet taken by `older`
+    entered: float = 0.0  # metres of path at which it came into the present area
+    _told: tuple[float, float] = (-np.inf, 0.0)
 
     def add(self, pose: Array, step: float, sight: Sight) -> None:
         """A scan taken at `pose` (3,), `step` metres of path after the last one."""
@@ -90,13 +97,12 @@ class Trace:
         turn = np.array([[c, s], [-s, c]])
         origin = pose[:2] + sight.origin @ turn
         ends = pose[:2] + sight.ends @ turn
-        d = ends - origin
         self.travelled.append(self.length)
         self.turned.append(turn_so_far)
         self.poses.append(pose)
         self.origins.append(origin)
         self.ends.append(ends)
-        self.near.append(ends[(d * d).sum(axis=1) < NEAR * NEAR])
+        self.near.append(self._near(origin, ends, turn_so_far))
         self.fresh += 1
         old = 0
         while self.travelled[old] < self.length - KEPT or len(self.poses) - old > MOST:
@@ -107,6 +113,15 @@ class Trace:
             ):  # fmt: skip
                 del kept[:old]
             self.fresh = min(self.fresh, len(self.poses))
+
+    def _near(self, origin: Array, ends: Array, turned: float) -> Array:
+        """Ends near enough to tell the width of the path, of a scan that has some new to tell."""
+        moved = self.length - self._told[0] + 2.0 * abs(turned - self._told[1])
+        if moved < NEAR_APART:
+            return ends[:0]
+        self._told = (self.length, turned)
+        d = ends - origin
+        return ends[d[:, 0] ** 2 + d[:, 1] ** 2 < NEAR * NEAR]
 
     def older(self, behind: float) -> list[int]:
         """Scans taken more than `behind` metres of path ago; each is told once."""
@@ -204,8 +219,21 @@ class PassageDetector:
         if abs(np.sin(np.arctan2(*self.heading[i][::-1]) - frame[2])) < STRAIGHT:
             return None
         self._last = float(at[i]) + 0.4
+        if _came_by(frame, float(width[i]), trace, float(at[i])):
+            return None
         frame, wall, opened = aligned(frame, float(width[i]), *trace.rays(at[i] - 4.0))
         return Passage(frame, float(width[i]), float(at[i]), wall, opened)
+
+
+def _came_by(frame: Array, width: float, trace: Trace, travelled: float) -> bool:
+    """Whether the robot, just before, went the other way between the jambs: it is only back."""
+    since = int(np.searchsorted(trace.travelled, trace.entered))
+    until = int(np.searchsorted(trace.travelled, travelled))
+    if until - since < 2:
+        return False
+    u, v, _ = se2.between(frame, np.array(trace.poses[since:until])).T
+    over = np.flatnonzero((v[:-1] > 0.0) & (v[1:] <= 0.0))
+    return bool(np.any(np.abs(u[over]) < 0.5 * width + ASIDE))
 
 
 def needed(width: float) -> float:
@@ -223,14 +251,14 @@ def narrowest_chord(point: Array, ends: Array) -> tuple[float, Array]:
     Ends beyond `WIDEST` do not count: the longest chord is twice that.
     """
     d = ends - point
-    r2 = (d * d).sum(axis=1)
-    near = r2 < WIDEST * WIDEST
+    r2 = d[:, 0] ** 2 + d[:, 1] ** 2
+    near = np.flatnonzero(r2 < WIDEST * WIDEST)
+    near = near[np.argsort(-r2[near], kind="stable")]
     d, r = d[near], np.sqrt(r2[near])
     sector = ((np.arctan2(d[:, 1], d[:, 0]) / (2.0 * np.pi) + 0.5) * SECTORS).astype(np.int64)
     sector %= SECTORS
-    order = np.lexsort((-r, sector))
     nearest = np.full(SECTORS, WIDEST)
-    nearest[sector[order]] = r[order]  # of one sector the nearest is written last
+    nearest[sector] = r  # of one sector the nearest is written last
     turns = np.arange(-OPPOSITE, OPPOSITE + 1) + SECTORS // 2
     across = nearest[(np.arange(SECTORS)[:, None] + turns) % SECTORS]
     chord = nearest + across.min(axis=1)
@@ -239,8 +267,7 @@ def narrowest_chord(point: Array, ends: Array) -> tuple[float, Array]:
     jambs = np.empty((2, 2))
     for k, b in enumerate((i, j)):
         if nearest[b] < WIDEST:
-            inside = np.flatnonzero(sector == b)
-            jambs[k] = point + d[inside[np.argmin(r[inside])]]
+            jambs[k] = point + d[np.flatnonzero(sector == b)[-1]]
         else:
             angle = 2.0 * np.pi * ((b + 0.5) / SECTORS - 0.5)
             jambs[k] = point + WIDEST * np.array([np.cos(angle), np.sin(angle)])
@@ -262,15 +289,20 @@ def aligned(frame: Array, width: float, origins: Array, ends: Array) -> tuple[Ar
     Returns it with metres of wall and of opening beside each jamb.
     """
     origins, ends = _about(frame, 0.5 * width + BIN * BINS + 0.8, origins, ends)
-    best = None
-    for turn in np.arange(-0.6, 0.61, 0.1):
-        for offset in (-0.1, 0.0, 0.1):
-            tried = se2.compose(frame, np.array([0.0, offset, turn]))
-            wall, opened = line_evidence(tried, width, origins, ends)
-            score = wall.sum() - opened.sum() - 0.2 * abs(turn)
-            if best is None or score > best[0]:
-                best = (score, tried, wall, opened)
-    assert best is not None
+    best = (-np.inf, frame, np.zeros(2), np.zeros(2))
+    middle, tried = (0.0, 0.0), set()
+    for steps in (COARSE, FINE):
+        about = middle
+        for offset, turn in steps:
+            move = (round(about[0] + offset, 3), round(about[1] + turn, 3))
+            if move in tried:
+                continue
+            tried.add(move)
+            moved = se2.compose(frame, np.array([0.0, *move]))
+            wall, opened = line_evidence(moved, width, origins, ends)
+            score = wall.sum() - opened.sum() - 0.2 * abs(move[1])
+            if score > best[0]:
+                best, middle = (score, moved, wall, opened), move
     return best[1], best[2], best[3]
 
 

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-APART, APART_ANGLE = 0.25, 0.35  # metres or radians between scans that are looked at
+APART, APART_ANGLE = 0.3, 0.4  # metres or radians between scans that are looked at
 BESIDE = 0.3  # metres beyond a door's jambs that are barred too
-GROUND = 0.5  # metres: cells by which it is told where the robot was
+GROUND = 1.0  # metres: cells by which it is told where the robot was
 
 
 @dataclass(slots=True)
@@ -40,6 +40,7 @@ class Places:
     paths: dict[int, set[tuple[int, int]]] = field(default_factory=dict)
     ground: dict[int, dict[tuple[int, int], float]] = field(default_factory=dict)
     _last: tuple[float, float] = (-np.inf, 0.0)
+    _area: int = -1
     _regions: dict[int, tuple[int, int, Region]] = field(default_factory=dict)
 
     def look(self, area: int, trace: Trace, behind: float) -> None:
@@ -67,8 +68,11 @@ class Places:
     def _take(self, area: int, trace: Trace, i: int) -> None:
         pose, at = trace.poses[i], trace.travelled[i]
         path = self.paths.setdefault(area, set())
-        x, y = np.floor(pose[:2] / CELL).astype(int).tolist()
-        path.add((x, y))
+        before = trace.poses[i - 1] if i and self._area == area else pose
+        self._area = area
+        steps = 1 + int(np.hypot(*(pose[:2] - before[:2])) / (0.5 * CELL))
+        way = before[:2] + np.linspace(0.0, 1.0, steps + 1)[:, None] * (pose[:2] - before[:2])
+        path.update(map(tuple, np.floor(way / CELL).astype(int).tolist()))
         x, y = np.floor(pose[:2] / GROUND).astype(int).tolist()
         self.ground.setdefault(area, {}).setdefault((x, y), at)
         turned = trace.turned[i]

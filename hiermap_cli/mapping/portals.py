@@ -100,6 +100,11 @@ class KnownDoors:
         self._before = None
         self._passed = set()
 
+    def replay(self, poses: Sequence[Array]) -> None:
+        """The way by which the robot has come, where it is in the area since before now."""
+        for pose in poses:
+            self.gone_through(pose)
+
     def gone_through(self, pose: Array) -> int | None:
         """The portal by which the robot, now at `pose`, has left the area, if it has."""
         if not self._portal:
@@ -122,8 +127,12 @@ class KnownDoors:
                 return self._portal[k]
         return None
 
-    def near(self, frame: Array, distance: float = 0.8) -> bool:
-        """Whether a known door lies about there, and about so turned."""
+    def leads_out(self, frame: Array, distance: float = 0.8) -> bool:
+        """Whether a known door lies about there and leads out of the area in that direction.
+
+        Where a door was found only on the way back, the area is on both sides of it; who goes
+        through it the other way leaves the area by a door that is new.
+        """
         apart = np.hypot(*(self._frame[:, :2] - frame[:2]).T)
-        turned = np.abs(np.sin(self._frame[:, 2] - frame[2]))
-        return bool(np.any((apart < distance) & (turned < 0.8)))
+        alike = self._sign * np.cos(self._frame[:, 2] - frame[2]) > 0.6
+        return bool(np.any((apart < distance) & alike))

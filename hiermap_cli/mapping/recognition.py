@@ -11,6 +11,7 @@ some path in between.
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -47,8 +48,9 @@ class Relative(NamedTuple):
 
     def at(self, point: Array) -> float:
         """Standard deviation (metres) of where a point (2,) of this area lies in the other."""
-        J = np.array([[1.0, 0.0, -point[1]], [0.0, 1.0, point[0]]])
-        return float(np.sqrt(np.trace(J @ self.covariance @ J.T)))
+        (x, y), C = point.tolist(), self.covariance
+        variance = C[0, 0] + C[1, 1] + 2.0 * (x * C[1, 2] - y * C[0, 2])
+        return math.sqrt(max(float(variance + (x * x + y * y) * C[2, 2]), 0.0))
 
 
 def relative_frames(

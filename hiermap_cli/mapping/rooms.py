@@ -81,7 +81,7 @@ def decide(
         if case.group[portals[i].a] == case.group[portals[i].b]:
             case.refuse([i], "the robot came round it another way")
     for members in case.doors():
-        if case.evidence(members) < doors.certain * needed(portals[members[0]].width):
+        if case.evidence(members) < doors.min_evidence * needed(portals[members[0]].width):
             case.refuse(members, "too little wall beside it, over all crossings")
     sizes = [places.size(i, area, portals) for i, area in enumerate(areas)]
     while (small := case.too_small(sizes, config.min_area)) is not None:
