@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import foxglove_cases as foxglove
 import numpy as np
+import yaml
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Bag1Writer
@@ -83,9 +84,6 @@ def events() -> list[Event]:
     out = [("scan", stamp, i) for i, stamp in enumerate(stamps())]
     out += [("odometry", stamp, i) for i, stamp in enumerate(odometry_stamps())]
     return sorted(out, key=lambda event: (event[1], event[0]))
-
-
-# ---------------------------------------------------------------- ROS messages
 
 
 def scan_message(store: Any, stamp_ns: int, index: int, seq: int = 0) -> Any:
@@ -255,6 +253,13 @@ def write_rosbag2(
             writer.write(channels[topic], log_ns, STORE2.serialize_cdr(message, kind))
 
 
+def list_more(folder: Path, name: str) -> None:
+    """Adds a file to those that a folder's metadata names."""
+    document = yaml.safe_load((folder / "metadata.yaml").read_text())
+    document["rosbag2_bagfile_information"]["relative_file_paths"].append(name)
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(document))
+
+
 def write_foxglove_mcap(path: Path, encoding: str, *, poses: bool = False) -> None:
     """With `poses` odometry comes as PoseInFrame, else as a FrameTransform on /tf."""
     protobuf = encoding == "protobuf"
@@ -283,9 +288,6 @@ def write_foxglove_mcap(path: Path, encoding: str, *, poses: bool = False) -> No
                 data = transform(stamp_ns, foxglove.odometry_edge(pose(stamp_ns)))
                 write("/tf", "FrameTransform", stamp_ns, data)
         writer.finish()
-
-
-# ------------------------------------------------------------------- text logs
 
 
 def _seconds(stamp_ns: int) -> str:

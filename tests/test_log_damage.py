@@ -218,10 +218,7 @@ def test_without_its_metadata_a_folder_is_read_all_the_same(tmp_path, text):
 def test_a_missing_part_is_said(tmp_path):
     folder = tmp_path / "bag"
     cases.write_rosbag2(folder)
-    text = (folder / "metadata.yaml").read_text()
-    more = text.replace("- bag.db3", "- bag.db3\n    - bag_1.db3")
-    assert more != text
-    (folder / "metadata.yaml").write_text(more)
+    cases.list_more(folder, "bag_1.db3")
     stamps, report = read_stamps([folder])
     assert stamps == cases.stamps()
     assert any("bag_1.db3" in loss for loss in report.lost)

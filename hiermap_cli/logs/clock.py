@@ -10,7 +10,7 @@ does not fit its neighbours is replaced by the one before it. Each is counted.
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from heapq import heappop, heappush
 from itertools import islice, pairwise
 from statistics import median, median_low
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from hiermap_cli.logs.records import Odometry, Scan
 
 if TYPE_CHECKING:
+    from collections import Counter
     from collections.abc import Iterable, Iterator, Sequence
 
     from hiermap_cli.logs.records import Record
@@ -72,48 +73,92 @@ def settle(records: Iterable[Record], clock: Clock, counts: Counter[str]) -> Ite
     """
     source = _stamped(records, clock)
     ahead = deque(islice(source, AHEAD + 1))
-    offset = sequence = 0
-    high = last = last_log = None
+    flow = _Flow(counts)
     before: tuple[int, Odometry] | None = None
+    sequence = 0
     while ahead:
         raw_ns, record = ahead.popleft()
-        ahead.extend(islice(source, 1))
-        time_ns: int | None = raw_ns + offset
-        value = record.value
-        assert isinstance(value, (Scan, Odometry))
-        assert time_ns is not None
-        if high is None or last is None or last_log is None:
-            sound = _sound_first(time_ns, [raw for raw, _ in ahead])
-            if sound != time_ns:
-                time_ns = None if isinstance(value, Odometry) else sound
-        elif time_ns < high - WINDOW:
-            if _most(raw + offset < high - WINDOW for raw, _ in ahead):
-                pause = record.log_ns - last_log
-                carried = last + (pause if 0 <= pause <= LEAP else 0)
-                offset += carried - time_ns
-                time_ns = carried
-                counts["clock_set_back"] += 1
-            else:
-                time_ns = None if isinstance(value, Odometry) else last
-        elif time_ns > high + LEAP and _most(
-            high - WINDOW <= raw + offset <= high + LEAP for raw, _ in ahead
-        ):
-            time_ns = None if isinstance(value, Odometry) else last
+        following = next(source, None)
+        if following is not None:
+            ahead.append(following)
+        time_ns = flow.time_of(raw_ns, record, ahead)
         if time_ns is None:
-            counts["odometry_stamp_outlier"] += 1
             continue
-        if time_ns != raw_ns + offset:
-            counts["stamp_outlier"] += 1
+        value, own = record.value, None
         if isinstance(value, Odometry):
             before = (raw_ns, value)
-            own = None
         else:
             own = before[1] if before is not None and before[0] == raw_ns else None
             before = None
-        high = time_ns if high is None else max(high, time_ns)
-        last, last_log = time_ns, record.log_ns
+        assert isinstance(value, (Scan, Odometry))
         yield Timed(time_ns, sequence, value, record.log_ns, own)
         sequence += 1
+
+
+class _Flow:
+    """The flow of time so far: the latest time, the one before, and what is added to stamps."""
+
+    def __init__(self, counts: Counter[str]) -> None:
+        self._counts = counts
+        self._offset = 0
+        self._started = False
+        self._high = self._last = self._last_log = 0
+
+    def time_of(
+        self, raw_ns: int, record: Record, ahead: Sequence[tuple[int, Record]]
+    ) -> int | None:
+        """The settled time of a record; None for a reading that is left out."""
+        time_ns: int | None = raw_ns + self._offset
+        assert time_ns is not None
+        if not self._started:
+            time_ns = self._begin(raw_ns, record, ahead)
+        elif not self._high - WINDOW <= time_ns <= self._high + LEAP:
+            time_ns = self._mended(time_ns, record, [raw + self._offset for raw, _ in ahead])
+        if time_ns is None:
+            self._counts["odometry_stamp_outlier"] += 1
+            return None
+        if not self._started or time_ns > self._high:
+            self._high = time_ns
+        self._started = True
+        self._last, self._last_log = time_ns, record.log_ns
+        return time_ns
+
+    def _begin(
+        self, raw_ns: int, record: Record, ahead: Sequence[tuple[int, Record]]
+    ) -> int | None:
+        sound = _sound_first(raw_ns, [raw for raw, _ in ahead])
+        if sound == raw_ns:
+            return raw_ns
+        if isinstance(record.value, Odometry):
+            return None
+        self._counts["stamp_outlier"] += 1
+        return sound
+
+    def _mended(self, time_ns: int, record: Record, later: list[int]) -> int | None:
+        if _set_back(time_ns, later, self._high):
+            pause = record.log_ns - self._last_log
+            carried = self._last + (pause if 0 <= pause <= LEAP else 0)
+            self._offset += carried - time_ns
+            self._counts["clock_set_back"] += 1
+            return carried
+        if not _alone(time_ns, later, self._high):
+            return time_ns
+        if isinstance(record.value, Odometry):
+            return None
+        self._counts["stamp_outlier"] += 1
+        return self._last
+
+
+def _set_back(time_ns: int, later: list[int], high: int) -> bool:
+    """Whether the clock was set back: the stamps that follow are behind, too."""
+    return time_ns < high - WINDOW and _most(t < high - WINDOW for t in later)
+
+
+def _alone(time_ns: int, later: list[int], high: int) -> bool:
+    """Whether a stamp behind or far ahead is nonsense: those that follow go on as before."""
+    if time_ns < high - WINDOW:
+        return True
+    return _most(high - WINDOW <= t <= high + LEAP for t in later)
 
 
 def _sound_first(first: int, later: list[int]) -> int:

@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 SICK_FIRST_CODE = 81.83
 SICK_LAST_CODE = 81.91
 
-# Values at which known lasers and drivers saturate (metres), SICK's 8, 16, 32 and 80 m modes
-# among them. A saturation found in the data that is none of these needs stronger evidence.
+# Values at which known lasers and drivers saturate (metres): SICK's 8, 16, 32 and 80 m modes,
+# Hokuyo's, and what CARMEN's own parameters say for them.
 KNOWN_MAXIMA = (
-    4.095, 5.6, 8.0, 8.183, 8.187, 8.19, 8.191, 10.0, 12.0, 15.0, 16.0, 16.38, 16.383, 18.0, 20.0,
-    25.0, 29.99, 30.0, 32.0, 32.766, 32.767, 40.0, 50.0, 60.0, 65.533, 65.535, 80.0, 81.0, 81.83,
-    81.87, 81.9, 81.91,
+    4.095, 5.6, 8.183, 8.187, 8.19, 8.191, 16.38, 16.383, 29.99, 30.0, 32.766, 32.767, 50.0,
+    65.533, 65.535, 80.0, 81.0,
 )  # fmt: skip
+LEAST_SATURATION = 4.0  # metres; no laser for robots reaches less far
 
 _NOTHING = np.float32(np.inf)
 _LEAST = 1e-30  # metres; the least float32 that is not zero for anybody
@@ -69,9 +69,11 @@ def translate(
 def infer_range_max(head: Sequence[NDArray[np.float32]]) -> float:
     """Rule 3: the range at which a laser of unstated reach saturates, from its first scans.
 
-    The largest finite value of the first scans is a saturation if it is one of KNOWN_MAXIMA and
-    occurs at least three times, or if it is any other value that occurs ten times and five times
-    as often as all the values of the last tenth below it. Without a saturation the limit is
+    The largest finite value of the first scans is a saturation if it is rare enough not to be
+    the room (at most half of all values), occurs five times as often as all the values of the
+    last tenth below it, and is one of KNOWN_MAXIMA and there at least three times; or any other
+    value from LEAST_SATURATION on that several beams of a scan have at once: ten times in all,
+    four times in the mean of the scans that have it. Without a saturation the limit is
     SICK_FIRST_CODE; where most values are beyond what any laser sees, there is none. The answer
     depends on the first scans alone, never on how a log is cut into blocks.
     """
@@ -85,9 +87,11 @@ def infer_range_max(head: Sequence[NDArray[np.float32]]) -> float:
     top = float(pooled.max())
     if top >= SICK_FIRST_CODE - 1e-4:
         return float32(SICK_FIRST_CODE)
-    count = int(np.count_nonzero(pooled == np.float32(top)))
+    by_scan = [int(np.count_nonzero(r == np.float32(top))) for r in values]
+    count, scans = sum(by_scan), sum(n > 0 for n in by_scan)
     near = int(np.count_nonzero(pooled > np.float32(0.9 * top))) - count
+    if count < 5 * near or 2 * count > len(pooled):
+        return float32(SICK_FIRST_CODE)
     known = any(math.isclose(top, value, abs_tol=1e-4) for value in KNOWN_MAXIMA)
-    if (known and count >= 3) or (count >= 10 and count >= 5 * near):
-        return float32(top)
-    return float32(SICK_FIRST_CODE)
+    several = top >= LEAST_SATURATION and count >= 10 and count >= 4 * scans
+    return float32(top) if (known and count >= 3) or several else float32(SICK_FIRST_CODE)

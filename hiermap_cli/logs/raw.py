@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from hiermap_cli.logs.ranges import SICK_FIRST_CODE, float32, translate
@@ -32,13 +33,27 @@ def stated(range_min: float, range_max: float) -> float | None:
 
 def finish(raw: RawScan, reach: float) -> Scan:
     """The scan with its ranges translated; `reach` counts where it is the nearer limit."""
-    range_min = float32(raw.range_min) if 0.0 < raw.range_min < SICK_FIRST_CODE else 0.0
-    range_max = reach if raw.range_max is None else min(reach, float32(raw.range_max))
-    laser = LaserGeometry(
-        float32(raw.angle_min),
-        float32(raw.angle_increment),
-        len(raw.ranges),
-        range_min,
-        range_max,
+    laser = geometry(
+        raw.angle_min, raw.angle_increment, len(raw.ranges), raw.range_min, raw.range_max, reach
     )
-    return Scan(raw.stamp_ns, translate(raw.ranges, range_min, range_max), laser, raw.frame)
+    ranges = translate(raw.ranges, laser.range_min, laser.range_max)
+    return Scan(raw.stamp_ns, ranges, laser, raw.frame)
+
+
+@lru_cache(maxsize=256)
+def geometry(
+    angle_min: float,
+    angle_increment: float,
+    beams: int,
+    range_min: float,
+    range_max: float | None,
+    reach: float,
+) -> LaserGeometry:
+    """The geometry in numbers that float32 holds; nearly all scans of a log have the same."""
+    return LaserGeometry(
+        float32(angle_min),
+        float32(angle_increment),
+        beams,
+        float32(range_min) if 0.0 < range_min < SICK_FIRST_CODE else 0.0,
+        reach if range_max is None else min(reach, float32(range_max)),
+    )
