@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiermap_cli.estimation.motion import LASER_X, PARAMETERS
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import WALL, measuring_pose
+from hiermap_cli.mapping.area_map import WALL
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -116,9 +117,10 @@ def relocate(
     pose = poses[best].copy()
     pose[:2] = np.median(poses[same, :2], axis=0)
     pose[2] += np.median(se2.wrap(poses[same, 2] - poses[best, 2]))
+    # The hypotheses are of where the laser is: the robot is behind it, as it is now known to face.
+    laser_x = float(area.V.parameters[LASER_X]) if len(area.V.parameters) == PARAMETERS else 0.0
+    pose = se2.compose(pose, np.array([-laser_x, 0.0, 0.0]))
     found = Hypothesis(pose, float(score[best]), total, second)
-    shift = measuring_pose(area.V)[:2] - area.V.robot[:2]
-    found = found._replace(pose=np.array([pose[0] - shift[0], pose[1] - shift[1], pose[2]]))
     clear = (
         found.explained >= config.min_share * total and second <= config.second * found.explained
     )
