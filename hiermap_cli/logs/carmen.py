@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 OTHERS = (b"PARAM", b"SYNC", b"NEFF", b"TRUEPOS", b"COMMENT", b"MARKER", b"NMEA-GGA", b"NMEA-RMC")
 KNOWN = frozenset((*LASERS, *OTHERS, b"ODOM"))
-SNIFF_LINES = 4000  # lines looked at for the topics of a log
+SNIFF_LINES = 1000  # lines looked at for the topics of a log
 
 _BATCH = 64  # lines read together
 
@@ -60,9 +60,12 @@ class CarmenLog:
         self.losses: list[str] = []
         self._reach: dict[str, float] = {}
         self._ends: dict[bytes, int] = {}
+        self._topics: list[Topic] | None = None
 
     def topics(self) -> list[Topic]:
         """Topics met up to the first scan and odometry, and in at least the first lines."""
+        if self._topics is not None:
+            return self._topics
         found: dict[bytes, None] = {}
         has_scan = has_odometry = False
         for number, line in enumerate(self._lines([])):
@@ -73,7 +76,8 @@ class CarmenLog:
                 found[name] = None
                 has_scan |= b"LASER" in name
                 has_odometry |= name == b"ODOM" or carries_odometry(name)
-        return [_topic(name) for name in found]
+        self._topics = [_topic(name) for name in found]
+        return self._topics
 
     def static_transforms(self) -> Iterator[Transform]:
         """Mounts come with the records, before the first scan that they hold for."""

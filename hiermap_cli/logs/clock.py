@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections import deque
 from heapq import heappop, heappush
 from itertools import islice, pairwise
-from statistics import median, median_low
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from hiermap_cli.logs.records import Odometry, Scan
@@ -163,9 +162,10 @@ def _alone(time_ns: int, later: list[int], high: int) -> bool:
 
 def _sound_first(first: int, later: list[int]) -> int:
     """The log's first stamp; the first of those after it where it is far from them."""
-    if not later or abs(first - median(later)) <= FAR:
+    if not later:
         return first
-    return next(raw for raw in later if abs(raw - median_low(later)) <= FAR)
+    usual = sorted(later)[len(later) // 2]
+    return first if abs(first - usual) <= FAR else next(t for t in later if abs(t - usual) <= FAR)
 
 
 def _stamped(records: Iterable[Record], clock: Clock) -> Iterator[tuple[int, Record]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 from hiermap_cli.errors import InputError
@@ -218,7 +217,7 @@ def _choose_clock(scans: list[Record], readings: list[Record], warnings: list[st
     if "log" in clocks:
         warnings.append("header stamps are unusable: the recorder's time is taken instead")
         return "log"
-    late = [median(header - log for header, log in p) for p in pairs if p]
+    late = [sorted(header - log for header, log in p)[len(p) // 2] for p in pairs if p]
     apart = math.fabs(late[0] - late[-1])
     if apart > DISAGREEMENT and all(log for p in pairs for _, log in p):
         warnings.append(
