@@ -194,6 +194,9 @@ class AreaConfig(Section):
     corridor_length: Positive = Field(4.0, description="widths; a corridor is longer")
     ask_every: Positive = Field(0.5, description="metres of path between questions where it is")
     ask_sigma: Positive = Field(1.0, description="metres of sigma within which areas are asked for")
+    sure_sigma: Positive = Field(
+        0.2, description="metres of sigma within which an answer as predicted suffices"
+    )
     recent: int = Field(40, ge=1, description="key scans whose walls tell the area")
     least_walls: int = Field(4, ge=3, description="walls that must fit to know an area again")
     agree: Positive = Field(0.2, description="metres between two answers that agree")

@@ -32,8 +32,9 @@ def room_with_ends(rng, coordinates="invariant", sigma=0.01) -> AreaMap:
         [[1.0, 0.0, 0.0], [4.0, 0.0, 0.0], [5.0, 2, np.pi / 2], [2.5, 4, np.pi], [0, 2, -np.pi / 2]]
     )
     half = [1.0, 1.05, 2.0, 2.5, 2.0]
-    ends = [(0, 1), (1, 0), (2, 0)]
-    along = np.array([[1.0, 0, 0], [-1.05, 0, 0], [-2.0, 0, 0]])
+    ends = [(0, 1), (1, 0), (0, 0), (2, 0), (3, 0), (4, 0)]
+    along = np.zeros((6, 3))
+    along[:, 0] = [1.0, -1.05, -1.0, -2.0, -2.5, -2.0]
     poses = np.concatenate(
         ([[2.0, 1.5, 0.4]], walls, se2.compose(walls[[wall for wall, _ in ends]], along))
     )

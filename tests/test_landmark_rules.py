@@ -177,8 +177,10 @@ def test_walls_that_hardly_differ_or_do_not_meet_are_no_corner():
     apart = np.array([[[-4.0, 0.0], [-0.5, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
     assert not found(lines_of(apart), "corner_concave")
     near = np.array([[[-4.0, 0.0], [-0.3, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
-    assert found(lines_of(near), "corner_concave")
-    # Nothing says that the walls end there: 30 cm are too far.
+    assert not found(lines_of(near), "corner_concave")  # it ends before
+    not_to_its_end = [[END_OPEN, END_OPEN], [END_FREE, END_FREE]]
+    assert found(lines_of(near, kind=not_to_its_end), "corner_concave")
+    # Nothing says that either of the walls ends there.
     both_open = [[END_OPEN, END_OPEN], [END_OPEN, END_OPEN]]
     assert not found(lines_of(near, kind=both_open), "corner_concave")
 

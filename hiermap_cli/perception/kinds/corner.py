@@ -55,8 +55,8 @@ class Corners:
     def find(self, lines: LineSet, taken: NDArray[np.bool_], config: LandmarkConfig) -> list[Group]:  # noqa: ARG002 - corners share their walls
         """Lines whose ends meet: `lines` are (in, out).
 
-        The end of each lies within `corner_gap` of the point where the two lines cross, and of
-        one within half of that; where neither is a true end, of both.
+        One of the two truly ends where they cross, within half of `corner_gap`; so does the
+        other, or it was not seen to its end and comes within `corner_gap`.
         """
         turn = wrap(lines.theta[None, :] - lines.theta[:, None])
         wide = (np.abs(turn) > config.min_angle) & (np.abs(turn) < np.pi - config.min_angle)
@@ -66,10 +66,11 @@ class Corners:
         V = intersect(lines.hesse[i], lines.hesse[j])
         gap_in = np.abs(along_of(lines.hesse[i], V) - lines.along[i, 1])
         gap_out = np.abs(along_of(lines.hesse[j], V) - lines.along[j, 0])
-        known = (lines.kind[i, 1] != END_OPEN) | (lines.kind[j, 0] != END_OPEN)
+        ends_in, ends_out = lines.kind[i, 1] != END_OPEN, lines.kind[j, 0] != END_OPEN
         half = 0.5 * config.corner_gap
-        ok = np.minimum(gap_in, gap_out) < half
-        ok &= np.maximum(gap_in, gap_out) < np.where(known, config.corner_gap, half)
+        ok = gap_in < np.where(ends_in, half, config.corner_gap)
+        ok &= gap_out < np.where(ends_out, half, config.corner_gap)
+        ok &= ends_in | ends_out
         i, j, cost = i[ok], j[ok], (gap_in + gap_out)[ok]
         candidates = [
             (float(c), (("in", a), ("out", b)))
