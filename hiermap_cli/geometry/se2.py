@@ -72,7 +72,20 @@ def invert(R_a_b: Array) -> Array:
 
 def between(R_g_a: Array, R_g_b: Array) -> Array:
     """`R_a_b` of two poses known in one frame: `compose(invert(R_g_a), R_g_b)`."""
-    return compose(invert(R_g_a), R_g_b)
+    R_g_a, R_g_b = np.asarray(R_g_a, dtype=float), np.asarray(R_g_b, dtype=float)
+    if R_g_a.ndim == R_g_b.ndim == 1:
+        x_a, y_a, theta_a = R_g_a.tolist()
+        x_b, y_b, theta_b = R_g_b.tolist()
+        cos, sin = math.cos(theta_a), math.sin(theta_a)
+        dx, dy = x_b - x_a, y_b - y_a
+        return np.array((cos * dx + sin * dy, cos * dy - sin * dx, wrap_one(theta_b - theta_a)))
+    c, s = np.cos(R_g_a[..., 2]), np.sin(R_g_a[..., 2])
+    x, y = R_g_b[..., 0] - R_g_a[..., 0], R_g_b[..., 1] - R_g_a[..., 1]
+    out = np.empty(np.broadcast_shapes(R_g_a.shape, R_g_b.shape))
+    out[..., 0] = c * x + s * y
+    out[..., 1] = c * y - s * x
+    out[..., 2] = wrap(R_g_b[..., 2] - R_g_a[..., 2])
+    return out
 
 
 def rotation(theta: Array) -> Array:
@@ -124,9 +137,18 @@ def _sinc(x: Array) -> Array:
     return np.asarray(np.sin(x) / x)
 
 
+def _sinc_one(x: float) -> float:
+    return math.sin(x) / x if abs(x) > 1e-9 else 1.0
+
+
 def exp(tangent: Array) -> Array:
     """The exponential map: tangent (..., 3) to pose (..., 3)."""
     tangent = np.asarray(tangent, dtype=float)
+    if tangent.ndim == 1:
+        x, y, angle = tangent.tolist()
+        sine, half_sine = _sinc_one(angle), _sinc_one(0.5 * angle)
+        rest = 0.5 * angle * half_sine * half_sine
+        return np.array((sine * x - rest * y, rest * x + sine * y, wrap_one(angle)))
     rho_x, rho_y, phi = tangent[..., 0], tangent[..., 1], tangent[..., 2]
     a = _sinc(phi)
     b = 0.5 * phi * _sinc(0.5 * phi) ** 2  # (1 - cos(phi)) / phi
@@ -140,6 +162,12 @@ def exp(tangent: Array) -> Array:
 def log(R_a_b: Array) -> Array:
     """The logarithm: pose (..., 3) to tangent (..., 3), its angle in (-pi, pi]."""
     R_a_b = np.asarray(R_a_b, dtype=float)
+    if R_a_b.ndim == 1:
+        x_b, y_b, angle = R_a_b.tolist()
+        angle = wrap_one(angle)
+        scale = _sinc_one(angle) / _sinc_one(0.5 * angle) ** 2
+        turn = 0.5 * angle
+        return np.array((scale * x_b + turn * y_b, scale * y_b - turn * x_b, angle))
     phi = wrap(R_a_b[..., 2])
     half = 0.5 * phi
     # half / tan(half) is smooth at zero; at |phi| = pi it is zero.
