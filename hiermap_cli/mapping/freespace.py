@@ -156,8 +156,8 @@ class FreeGrid:
         for segment in barriers:
             cells = self._cells(_along(segment))
             for i, j in ((0, 0), (1, 0), (0, 1)):  # so thick that no diagonal leads through
-                x = np.minimum(cells + (i, j), np.array(free.shape) - 1)
-                free[x[:, 0], x[:, 1]] = False
+                x = np.minimum(cells[:, 0] + i, free.shape[0] - 1)
+                free[x, np.minimum(cells[:, 1] + j, free.shape[1] - 1)] = False
         radius = 0.5 * width / CELL
         wide = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] > radius
         way = np.zeros_like(free)

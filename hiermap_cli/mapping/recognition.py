@@ -157,27 +157,40 @@ class Recogniser:
         self._asked = travelled
         c = self.config.areas
         view, extent = lately_seen(here, key, c)
-        if len(view.length) < c.least_walls:
+        if len(view.length) < c.least_walls - 1:
             return None
         answers = []
         for h, area, young in asked:
             found = self._match(h, area, view, extent)
             if found is None:
                 self._before.pop(h, None)
-                continue
-            if h not in self._before:
-                self._before[h] = (travelled, found)
-            else:
-                first, before = self._before[h]
-                off = se2.between(before.R_h_c, found.R_h_c)
-                here_at = se2.compose(found.R_h_c, here.V.robot) - se2.compose(
-                    before.R_h_c, here.V.robot
-                )
-                if np.hypot(*here_at[:2]) > c.agree or abs(off[2]) > c.agree_angle:
-                    self._before[h] = (travelled, found)
-                elif travelled - first >= (c.agree_path if young else c.agree_path_old):
-                    answers.append(found)
+            elif young and self._as_predicted(found, here.V.robot):
+                answers.append(found)
+            elif found.walls >= c.least_walls and self._second(found, travelled, young, here):
+                answers.append(found)
         return max(answers, key=lambda found: found.explained, default=None)
+
+    def _as_predicted(self, found: Recognised, robot: Array) -> bool:
+        """Whether the walls only say what the way here says as well: two witnesses in one."""
+        frame = self.frames[found.area]
+        predicted = se2.between(frame.pose, robot)
+        off = se2.between(predicted, se2.compose(found.R_h_c, robot))
+        return frame.at(robot[:2]) < self.config.areas.sure_sigma and self._agree(off)
+
+    def _second(self, found: Recognised, travelled: float, young: bool, here: AreaMap) -> bool:
+        """Whether the same was found before, with path enough in between; else it is kept."""
+        c, robot = self.config.areas, here.V.robot
+        if found.area in self._before:
+            first, before = self._before[found.area]
+            at, was = se2.compose(found.R_h_c, robot), se2.compose(before.R_h_c, robot)
+            if self._agree(se2.between(was, at)):
+                return travelled - first >= (c.agree_path if young else c.agree_path_old)
+        self._before[found.area] = (travelled, found)
+        return False
+
+    def _agree(self, off: Array) -> bool:
+        c = self.config.areas
+        return bool(np.hypot(off[0], off[1]) < c.agree and abs(off[2]) < c.agree_angle)
 
     def _match(self, h: int, area: AreaMap, view: SegmentView, extent: Array) -> Recognised | None:
         c = self.config
@@ -192,7 +205,7 @@ class Recogniser:
             return None
         R_h_c = se2.compose(found.pose, se2.invert(np.array([*extent, 0.0])))
         walls = walls_explained(area, view, found.pose, c)
-        if walls < c.areas.least_walls:
+        if walls < c.areas.least_walls - 1:
             return None
         return Recognised(h, R_h_c, found.explained, found.total, walls)
 
