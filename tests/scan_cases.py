@@ -34,7 +34,7 @@ def cast(walls, pose, angles):
     heading = pose[2] + angles[:, None]
     dx, dy = np.cos(heading), np.sin(heading)
     ex, ey, wx, wy = x2 - x1, y2 - y1, x1 - pose[0], y1 - pose[1]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         across = dx * ey - dy * ex
         t = (wx * ey - wy * ex) / across
         u = (wx * dy - wy * dx) / across
