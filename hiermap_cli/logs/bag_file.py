@@ -45,6 +45,7 @@ class _Chunk(NamedTuple):
     end_ns: int
     messages: int | None
     whole: bool
+    connections: frozenset[int] | None  # in it, by its index; None where it has none
 
 
 class BagFile:
@@ -85,17 +86,26 @@ class BagFile:
         begins = [chunk.begin_ns for chunk in self._chunks if chunk.end_ns]
         return (min(begins), max(c.end_ns for c in self._chunks)) if begins else (0, 0)
 
-    def messages(self, wanted: Callable[[str], bool], losses: list[str]) -> Iterator[Message]:
+    def messages(
+        self, wanted: Callable[[str], bool], losses: list[str], *, by_index: bool = False
+    ) -> Iterator[Message]:
         """Messages of the wanted topics by log time."""
         try:
             with self.path.open("rb") as file:
                 pieces = [
                     Piece(c.begin_ns, c.end_ns, self._loader(file, c, wanted, losses))
                     for c in self._chunks
+                    if not by_index or self._may_hold(c, wanted)
                 ]
                 yield from in_log_order(pieces)
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read: {error}") from error
+
+    def _may_hold(self, chunk: _Chunk, wanted: Callable[[str], bool]) -> bool:
+        """Whether a chunk may hold a wanted topic: without an index, any may."""
+        if chunk.connections is None or not chunk.connections <= self._connections.keys():
+            return True
+        return any(wanted(self._connections[number].topic) for number in chunk.connections)
 
     def _survey(self, file: BinaryIO) -> None:
         """Finds the chunks, the connections and what the index says of them."""
@@ -145,7 +155,7 @@ class BagFile:
         compression = fields[b"compression"].decode("ascii")
         (size,) = _LENGTH.unpack(fields[b"size"])
         length = min(length, self._size - at)
-        self._chunks.append(_Chunk(at, length, compression, size, 0, 0, None, whole))
+        self._chunks.append(_Chunk(at, length, compression, size, 0, 0, None, whole, None))
 
     def _note_index(self, file: BinaryIO, fields: Fields, at: int, length: int) -> None:
         """The times and the number of messages of one connection in the chunk before it."""
@@ -165,6 +175,7 @@ class BagFile:
                 begin_ns=begin,
                 end_ns=max(chunk.end_ns, *times),
                 messages=(chunk.messages or 0) + len(times),
+                connections=(chunk.connections or frozenset()) | {connection},
             )
 
     def _note_connection(self, fields: Fields, data: bytes) -> None:

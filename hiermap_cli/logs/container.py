@@ -41,8 +41,14 @@ class Container(Protocol):
         """Log times of the first and the last message, (0, 0) where there are none."""
         ...
 
-    def messages(self, wanted: Callable[[str], bool], losses: list[str]) -> Iterator[Message]:
-        """Messages of the wanted topics in log order; what cannot be read goes to `losses`."""
+    def messages(
+        self, wanted: Callable[[str], bool], losses: list[str], *, by_index: bool = False
+    ) -> Iterator[Message]:
+        """Messages of the wanted topics in log order; what cannot be read goes to `losses`.
+
+        With `by_index` the file's index says where they are; it is quicker for topics with few
+        messages, and finds none that a damaged index hides.
+        """
         ...
 
 
@@ -101,7 +107,11 @@ def ordered(containers: Sequence[Container]) -> list[Container]:
 
 
 def chained(
-    containers: Sequence[Container], wanted: Callable[[str], bool], losses: list[str]
+    containers: Sequence[Container],
+    wanted: Callable[[str], bool],
+    losses: list[str],
+    *,
+    by_index: bool = False,
 ) -> Iterator[Message]:
     """Messages of all parts: one part after the other, or merged where their times overlap."""
     spans = [container.span() for container in containers]
@@ -112,7 +122,7 @@ def chained(
         latest = max(latest, end)
     if not overlapping:
         for container in containers:
-            yield from container.messages(wanted, losses)
+            yield from container.messages(wanted, losses, by_index=by_index)
         return
-    streams = [container.messages(wanted, losses) for container in containers]
+    streams = [container.messages(wanted, losses, by_index=by_index) for container in containers]
     yield from merge(*streams, key=attrgetter("log_ns"))

@@ -52,8 +52,11 @@ class Db3File:
         """Of the messages' times."""
         return self._span
 
-    def messages(self, wanted: Callable[[str], bool], losses: list[str]) -> Iterator[Message]:
+    def messages(
+        self, wanted: Callable[[str], bool], losses: list[str], *, by_index: bool = False
+    ) -> Iterator[Message]:
         """Messages of the wanted topics by time; over a damaged place, those behind it."""
+        del by_index  # the database has its own
         chosen = [number for number, c in sorted(self._topics.items()) if wanted(c.topic)]
         if not chosen:
             return

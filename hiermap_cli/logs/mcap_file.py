@@ -52,6 +52,7 @@ class _Unread(NamedTuple):
     chunk: ChunkHead | None
     whole: bool
     messages: int | None
+    channels: frozenset[int] | None  # in it, by its index; None where it has none
 
 
 class McapFile:
@@ -98,17 +99,26 @@ class McapFile:
         begins = [piece.begin_ns for piece in self._pieces if piece.end_ns]
         return (min(begins), max(p.end_ns for p in self._pieces)) if begins else (0, 0)
 
-    def messages(self, wanted: Callable[[str], bool], losses: list[str]) -> Iterator[Message]:
+    def messages(
+        self, wanted: Callable[[str], bool], losses: list[str], *, by_index: bool = False
+    ) -> Iterator[Message]:
         """Messages of the wanted topics by log time."""
         try:
             with self._file.open("rb") as file:
                 pieces = [
                     Piece(p.begin_ns, p.end_ns, self._loader(file, p, wanted, losses))
                     for p in self._pieces
+                    if not by_index or self._may_hold(p, wanted)
                 ]
                 yield from in_log_order(pieces)
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read: {error}") from error
+
+    def _may_hold(self, piece: _Unread, wanted: Callable[[str], bool]) -> bool:
+        """Whether a piece may hold a wanted topic: without an index, any may."""
+        if piece.channels is None or not piece.channels <= self._records.keys():
+            return True
+        return any(wanted(self._records[number].topic) for number in piece.channels)
 
     def _survey(self, file: BinaryIO) -> None:
         """Finds the pieces, and what the summary says."""
@@ -124,7 +134,7 @@ class McapFile:
                 self._note_loose(file, loose)
                 self._note_chunk(file, found)
             elif found.opcode == Opcode.MESSAGE_INDEX:
-                self._note_index(found)
+                self._note_index(file, found)
             elif found.opcode == Opcode.FOOTER:
                 self._read_summary(file, found, summary)
             elif after_data:
@@ -159,28 +169,35 @@ class McapFile:
             return
         begin, end = (head.start_ns, head.end_ns) if head.end_ns >= head.start_ns else (0, 0)
         length = min(head.length, self._size - head.at)
-        self._pieces.append(_Unread(begin, end, head.at, length, head, found.whole, None))
+        self._pieces.append(_Unread(begin, end, head.at, length, head, found.whole, None, None))
 
-    def _note_index(self, found: Found) -> None:
-        """Counts the messages of the chunk before it: an entry of 16 bytes each."""
+    def _note_index(self, file: BinaryIO, found: Found) -> None:
+        """Counts the messages of one channel in the chunk before it: 16 bytes an entry."""
         if self._pieces:
             last = self._pieces[-1]
             entries = (found.length - 6) // 16
-            self._pieces[-1] = last._replace(messages=(last.messages or 0) + entries)
+            file.seek(found.at)
+            (number,) = struct.unpack("<H", file.read(2))
+            self._pieces[-1] = last._replace(
+                messages=(last.messages or 0) + entries,
+                channels=(last.channels or frozenset()) | {number},
+            )
 
     def _note_loose(self, file: BinaryIO, loose: list[Found]) -> None:
         if any(found.opcode == Opcode.MESSAGE for found in loose):
-            times = []
-            for found in (loose[0], *loose[:0:-1]):
+            times, numbers = [], set()
+            for found in loose:
                 if found.opcode == Opcode.MESSAGE:
                     file.seek(found.at)
-                    times.append(_MESSAGE.unpack(file.read(_MESSAGE.size))[2])
+                    number, _, log_ns, _ = _MESSAGE.unpack(file.read(_MESSAGE.size))
+                    times.append(log_ns)
+                    numbers.add(number)
             begin = loose[0].at - _HEAD.size
             length = loose[-1].at + loose[-1].length - begin
             length = min(length, self._size - begin)
-            self._pieces.append(
-                _Unread(min(times), max(times), begin, length, None, loose[-1].whole, len(times))
-            )
+            whole, channels = loose[-1].whole, frozenset(numbers)
+            bounds = min(times), max(times)
+            self._pieces.append(_Unread(*bounds, begin, length, None, whole, len(times), channels))
         elif loose:
             begin = loose[0].at - _HEAD.size
             file.seek(begin)

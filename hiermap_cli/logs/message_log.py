@@ -53,9 +53,11 @@ class MessageLog:
         """The transforms of all static topics, wherever in the recording they are."""
         static = frozenset(t.name for t in self.topics() if t.kind == kinds.STATIC_TRANSFORMS)
         if static:
-            for record in self.records(static):
-                if isinstance(record.value, Transform):
-                    yield record.value
+            messages = chained(self._containers, static.__contains__, [], by_index=True)
+            for message in messages:
+                for record in self._decoded(message):
+                    if isinstance(record.value, Transform):
+                        yield record.value
 
     def records(self, wanted: frozenset[str] | None = None) -> Iterator[Record]:
         """Decoded values in log order."""
