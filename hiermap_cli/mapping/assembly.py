@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,8 +40,10 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-def assemble(mapper: Mapper) -> MapResult:
+def assemble(mapper: Mapper, laser_x: float = 0.0) -> MapResult:
     """The three levels and the trajectory of a mapper that has taken in the whole log.
+
+    laser_x: metres from the robot's origin ahead to the laser, as the log has it.
 
     Raises:
         InputError: it has not taken in a single scan.
@@ -63,7 +66,7 @@ def assemble(mapper: Mapper) -> MapResult:
         trajectory=levels.trajectory,
         trajectory_filter=levels.trajectory,
         events=_events(mapper, rooms, doors),
-        metrics=_metrics(mapper, found),
+        metrics=_metrics(mapper, found, laser_x),
         timing={},
         dropped={},
     )
@@ -187,7 +190,7 @@ def _events(mapper: Mapper, rooms: Rooms, doors: dict[int, DoorModel]) -> tuple[
     return tuple(events)
 
 
-def _metrics(mapper: Mapper, found: Sequence[FoundArea]) -> tuple[Metric, ...]:
+def _metrics(mapper: Mapper, found: Sequence[FoundArea], laser_x: float) -> tuple[Metric, ...]:
     """What only the estimator knows of the run."""
     n, scans = mapper.counts, len(mapper.trail.stamps_ns)
     entries = sum(portal.crossings for portal in mapper.portals)
@@ -196,8 +199,15 @@ def _metrics(mapper: Mapper, found: Sequence[FoundArea]) -> tuple[Metric, ...]:
         ("odometry_scale_translation", 1.0 + parameters[odometry_model.SCALE]),
         ("odometry_scale_rotation", 1.0 + parameters[odometry_model.ROTATION_SCALE]),
         ("odometry_curvature", parameters[odometry_model.CURVATURE]),
-        ("laser_x", parameters[odometry_model.LASER_X]),
+        ("laser_x", laser_x + parameters[odometry_model.LASER_X]),
     )
+    noise = (
+        ("noise_odometry", mapper.noise.odometry),
+        ("noise_walls", mapper.noise.walls),
+        ("noise_laser", mapper.noise.laser),
+    )
+    events = Counter(event.kind for event in mapper.events)
+    recognised, relocated = events["area_recognised"], events["relocated"]
     dropped = n.forgotten + sum(one.dropped for one in found)
     kept = sum(len(one.drafts) for one in found)
     metrics = [
@@ -206,7 +216,9 @@ def _metrics(mapper: Mapper, found: Sequence[FoundArea]) -> tuple[Metric, ...]:
         metric("matching_failures", n.failed, n.keys),
         metric("landmarks_forgotten", dropped, kept + dropped),
         metric("areas_reentered", entries - len(mapper.portals), entries + 1),
-        *(metric(name, value, n.keys) for name, value in calibration),
+        metric("loops_closed", recognised, recognised),
+        metric("relocations", relocated, relocated),
+        *(metric(name, value, n.keys) for name, value in (*calibration, *noise)),
     ]
     if n.degrees and n.nis > 0.0:
         metrics.append(metric("nis_mean", n.nis / n.degrees, n.keys))

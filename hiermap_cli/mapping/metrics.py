@@ -43,6 +43,9 @@ KNOWN_BY_THE_ESTIMATOR = {
     "odometry_scale_rotation": ("1", "estimated true rotation per odometry's", "updates"),
     "odometry_curvature": ("rad/m", "estimated heading drift per metre", "updates"),
     "laser_x": ("m", "estimated laser position ahead of the robot's origin", "updates"),
+    "noise_odometry": ("1", "variance of the odometry, of the configured one", "updates"),
+    "noise_walls": ("1", "variance of the walls' unevenness, of the configured one", "updates"),
+    "noise_laser": ("1", "variance of the laser's ranges, of the configured one", "updates"),
 }
 
 COUNTED_FROM_THE_MODEL = {

@@ -10,7 +10,7 @@ from hiermap_cli.mapping.assembly import assemble
 from hiermap_cli.mapping.mapper import run_filter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
 
     from hiermap_cli.config import Config
     from hiermap_cli.logs.records import ScanBlock
@@ -30,7 +30,16 @@ def map_log(
     Raises:
         InputError: there is no scan.
     """
-    mapper, timing = run_filter(blocks, config, progress)
+    mounts: list[float] = []
+    mapper, timing = run_filter(_mounted(blocks, mounts), config, progress)
     begin = time.process_time()
-    result = assemble(mapper)
+    result = assemble(mapper, laser_x=mounts[0] if mounts else 0.0)
     return replace(result, timing={**timing, "assembly": time.process_time() - begin})
+
+
+def _mounted(blocks: Iterable[ScanBlock], mounts: list[float]) -> Iterator[ScanBlock]:
+    """The blocks as they are; the x of the first one's mount goes into `mounts`."""
+    for block in blocks:
+        if not mounts:
+            mounts.append(block.mount.x)
+        yield block
