@@ -89,9 +89,11 @@ def test_one_damaged_chunk_costs_that_chunk(tmp_path, compression):
     stamps, report = read_stamps([path])
     assert cases.SCANS - 7 <= len(stamps) < cases.SCANS
     assert set(stamps) < set(cases.stamps())
-    (loss,) = report.lost
+    loss, *counts = report.lost
     assert "chunk at byte" in loss
     assert "messages lost" in loss
+    missing = cases.SCANS - len(stamps)
+    assert f"/scan: {missing} of {cases.SCANS} messages that the index counts are missing" in counts
 
 
 def test_a_damaged_length_does_not_hide_the_chunks_behind_it(tmp_path):

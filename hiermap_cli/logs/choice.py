@@ -36,7 +36,7 @@ class OdometryChoice(NamedTuple):
 def describe(topics: Sequence[Topic]) -> str:
     """A line of topics with their types, at most eight of them."""
     if not topics:
-        return "nothing that can be read"
+        return "none"
     listed = ", ".join(f"{topic.name} ({topic.type})" for topic in topics[:8])
     return listed + (f" and {len(topics) - 8} more" if len(topics) > 8 else "")
 
@@ -47,6 +47,8 @@ def choose_scans(log: str, topics: Sequence[Topic], wanted: str | None) -> Topic
     if wanted is not None:
         return _named(log, topics, fitting, wanted, "--scan-topic", "laser scans")
     fitting = _not_empty(fitting)
+    if not topics:
+        raise InputError(f"{log}: no topic in it can be read")
     if not fitting:
         raise InputError(f"{log}: no laser scans in it, only {describe(topics)}")
     return _one(log, fitting, SCAN_NAMES, "--scan-topic", "laser scans")

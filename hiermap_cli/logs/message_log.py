@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from hiermap_cli.logs import records as kinds
@@ -38,16 +39,19 @@ class MessageLog:
 
     def topics(self) -> list[Topic]:
         """All topics by name, with the number of their messages where all parts say it."""
+        return [
+            Topic(channel.topic, channel.type, channel.encoding, self._kind(channel), messages)
+            for channel, messages in sorted(self._channels().items())
+        ]
+
+    def _channels(self) -> dict[Channel, int | None]:
         found: dict[Channel, int | None] = {}
         for container in self._containers:
             for channel, messages in container.channels().items():
                 before = found.get(channel, 0)
                 known = before is not None and messages is not None
                 found[channel] = before + messages if known else None  # type: ignore[operator]
-        return [
-            Topic(channel.topic, channel.type, channel.encoding, self._kind(channel), messages)
-            for channel, messages in sorted(found.items())
-        ]
+        return found
 
     def static_transforms(self) -> Iterator[Transform]:
         """The transforms of all static topics, wherever in the recording they are."""
@@ -63,8 +67,14 @@ class MessageLog:
         """Decoded values in log order."""
         self.losses = list(self._found)
         choose = wanted.__contains__ if wanted is not None else _all
+        read: Counter[Channel] = Counter()
         for message in chained(self._containers, choose, self.losses):
+            read[message.channel] += 1
             yield from self._decoded(message)
+        for channel, announced in self._channels().items():
+            if announced is not None and choose(channel.topic) and read[channel] < announced:
+                missing = f"{announced - read[channel]} of {announced} messages"
+                self.losses.append(f"{channel.topic}: {missing} that the index counts are missing")
 
     def _kind(self, channel: Channel) -> str:
         found = self._meaning(channel)

@@ -69,12 +69,13 @@ class WeanLog:
                     continue
                 try:
                     values = _laser(fields) if topic == LASER else [_reading(fields)]
+                    mount = _mount(fields, values[0].stamp_ns) if topic == LASER else None
                 except (ValueError, IndexError, OverflowError) as error:
                     yield Record(topic, 0, None, f"malformed line: {error}")
                     continue
-                if topic == LASER and not mounted:
+                if mount is not None and not mounted:
                     mounted = True
-                    yield Record(topic, values[0].stamp_ns, _mount(fields, values[0].stamp_ns))
+                    yield Record(topic, values[0].stamp_ns, mount)
                 for value in values:
                     yield Record(topic, value.stamp_ns, value)
 
