@@ -8,6 +8,7 @@ is wrong.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,30 +49,32 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
     random walk: variances grow with distance and angle, so that cutting a motion into steps
     changes nothing.
     """
-    dx, dy, dtheta = (float(v) for v in increment)
-    a, b, c = (float(v) for v in parameters[:3])
+    dx, dy, dtheta = increment.tolist()
+    a, b, c = parameters[:3].tolist()
     turn = (1.0 + b) * dtheta + c * dx
     half = 0.5 * (turn - dtheta)
-    cos_h, sin_h = np.cos(half), np.sin(half)
+    cos_h, sin_h = math.cos(half), math.sin(half)
     x = (1.0 + a) * (cos_h * dx - sin_h * dy)
     y = (1.0 + a) * (sin_h * dx + cos_h * dy)
 
     # d (x, y, turn) / d (a, b, c), then turned into the frame after the motion.
+    cos_t, sin_t = math.cos(turn), math.sin(turn)
     J = np.zeros((3, PARAMETERS))
-    J[0, SCALE], J[1, SCALE] = x / (1.0 + a), y / (1.0 + a)
-    for k, d_turn in ((ROTATION_SCALE, dtheta), (CURVATURE, dx)):
-        J[0, k], J[1, k], J[2, k] = -0.5 * y * d_turn, 0.5 * x * d_turn, d_turn
-    cos_t, sin_t = np.cos(turn), np.sin(turn)
-    J[:2] = np.array([[cos_t, sin_t], [-sin_t, cos_t]]) @ J[:2]
+    for k, d_x, d_y, d_turn in (
+        (SCALE, x / (1.0 + a), y / (1.0 + a), 0.0),
+        (ROTATION_SCALE, -0.5 * y * dtheta, 0.5 * x * dtheta, dtheta),
+        (CURVATURE, -0.5 * y * dx, 0.5 * x * dx, dx),
+    ):
+        J[:, k] = cos_t * d_x + sin_t * d_y, cos_t * d_y - sin_t * d_x, d_turn
 
-    distance, angle = float(np.hypot(dx, dy)), abs(dtheta)
+    distance, angle = math.hypot(dx, dy), abs(dtheta)
     var_x = config.sigma_xy_per_sqrt_m**2 * distance + config.sigma_xy_per_sqrt_rad**2 * angle
     var_t = config.sigma_theta_per_sqrt_m**2 * distance + config.sigma_theta_per_sqrt_rad**2 * angle
-    Q = np.diag([var_x, var_x, var_t])
     # Heading noise gathered along the way moves the end point sideways: a third of the variance
     # at full lever arm, correlated by a half (a random walk integrated once).
-    Q[1, 1] += var_t * distance**2 / 3.0
-    Q[1, 2] = Q[2, 1] = 0.5 * var_t * distance * np.sign(dx)
+    var_y = var_x + var_t * distance**2 / 3.0
+    cov = math.copysign(0.5 * var_t * distance, dx)
+    Q = np.array([[var_x, 0.0, 0.0], [0.0, var_y, cov], [0.0, cov, var_t]])
     return Motion(np.array([x, y, se2.wrap_one(turn)]), Q, J)
 
 

@@ -55,6 +55,7 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     found = associate(area, view, config.association, config.filter)
     matches, constraint = found.matches, found.constraint
     nis, degrees, told = 0.0, 0, None
+    along = np.zeros((0, 2))
     if constraint is not None and not matches.empty():
         objects = np.concatenate((matches.wall, matches.end))
         V, nis = constrain(
@@ -66,11 +67,13 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
         degrees = len(constraint.innovation)
         if degrees >= LEAST_ROWS:
             told = _surprise(area.V, V, nis, degrees)
-        area = _seen(AreaMap(V, area.features, area.next_uid, area.glimpsed), view, matches, key)
+        area = AreaMap(V, area.features, area.next_uid, area.glimpsed)
+        along = _along(area, view, matches.segment, matches.wall)
+        area = _seen(area, matches, along, key)
     known = len(area.features.uid)
     new = ~found.near & (view.length >= config.filter.min_new_length)
     area = add_walls(area, view, np.flatnonzero(new), key)
-    area = _new_ends(area, view, matches, np.flatnonzero(new), known, key, config)
+    area = _new_ends(area, view, matches, np.flatnonzero(new), known, key, config, along)
     return Step(area, matches, found.offered, nis, degrees, told)
 
 
@@ -82,11 +85,10 @@ def _surprise(before: StochasticMap, after: StochasticMap, nis: float, rows: int
     return surprise(nis, rows, delta_r, before.covariance[:3, :3] - after.covariance[:3, :3])
 
 
-def _seen(area: AreaMap, view: SegmentView, matches: Matches, key: int) -> AreaMap:
-    """Extents and counts after a match."""
+def _seen(area: AreaMap, matches: Matches, x: Array, key: int) -> AreaMap:
+    """Extents and counts after a match; x: (a, 2) ends of the segments along their walls."""
     f = area.features
     lo, hi, seen, last = f.lo.copy(), f.hi.copy(), f.seen.copy(), f.last.copy()
-    x = _along(area, view, matches.segment, matches.wall)
     np.minimum.at(lo, matches.wall, x[:, 0])
     np.maximum.at(hi, matches.wall, x[:, 1])
     objects = np.concatenate((matches.wall, matches.end))
@@ -111,6 +113,7 @@ def _new_ends(
     known: int,
     key: int,
     config: Config,
+    along: Array,
 ) -> AreaMap:
     """Ends that no known end explains: of matched segments, and of those that found a wall."""
     fresh = view.end_kind != END_OPEN
@@ -119,8 +122,11 @@ def _new_ends(
     i, side = np.nonzero(fresh[segments])
     if not len(i):
         return area
-    walls = np.concatenate((matches.wall, known + np.arange(len(founded))))
-    x = _along(area, view, segments[i], walls[i])[np.arange(len(i)), side]
+    new_walls = known + np.arange(len(founded))
+    walls = np.concatenate((matches.wall, new_walls))
+    if len(founded):
+        along = np.concatenate((along, _along(area, view, founded, new_walls)))
+    x = along[i, side]
     # A known end of the same wall and side that is near, but did not pass its gate, forbids a
     # second one beside it.
     f = area.features

@@ -170,6 +170,8 @@ def _pair_distances(
 def _tried(pairs: Pairs, view: SegmentView) -> Pairs:
     """The best few candidates of the longest segments."""
     first = _best(pairs.segment)
+    if len(first) == len(pairs.segment) <= MAX_SEGMENTS:
+        return pairs
     counts = np.diff(np.append(first, len(pairs.segment)))
     rank = np.arange(len(pairs.segment)) - np.repeat(first, counts)
     keep = rank < MAX_CANDIDATES
