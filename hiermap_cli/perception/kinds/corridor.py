@@ -47,26 +47,16 @@ class Corridors:
         Doors cut a corridor's walls into pieces: how far it goes is told by all pieces in line
         with the two. Of several pairs on one middle line the longest is taken.
         """
-        against = np.abs(wrap(lines.theta[None, :] - lines.theta[:, None] - np.pi))
-        i, j = np.nonzero(np.triu(against < config.parallel, 1))
-        found: list[tuple[float, int, int]] = []
-        for a, b in zip(i.tolist(), j.tolist(), strict=True):
-            width = -float(offset_of(lines.hesse[a], lines.ends[b].mean(axis=0)))
-            if not config.corridor_min_width < width < config.corridor_max_width:
-                continue
-            length = _facing(lines, a, b, config)
-            if length >= max(config.corridor_min_length, config.corridor_ratio * width):
-                found.append((length, a, b))
+        candidates = _pairs(lines, config)
         groups: list[Group] = []
         poses: list[Array] = []
-        by_length = [(lines.length[a] * lines.length[b], length, a, b) for length, a, b in found]
-        for _, _, a, b in sorted(by_length, key=lambda one: (-one[0], -one[1], *one[2:])):
-            longer = lines.length[a] >= lines.length[b]
-            first, second = (a, b) if longer else (b, a)
-            group = Group(self.kinds[0], (first, second), FIRST)
-            pose = self.extract(lines, group).pose
-            if not any(_same(pose, other, config) for other in poses):
-                groups.append(group)
+        for a, b in candidates:
+            first, second = (a, b) if lines.length[a] >= lines.length[b] else (b, a)
+            pose = corridor_pose(lines.hesse[[first, second]], _middle(lines, first, second), FIRST)
+            if any(_same(pose, other, config) for other in poses):
+                continue
+            if _facing(lines, a, b, config) >= _needed(lines, a, b, config):
+                groups.append(Group(self.kinds[0], (first, second), FIRST))
                 poses.append(pose)
         return groups
 
@@ -74,8 +64,7 @@ class Corridors:
         """The middle line, and both walls in its frame."""
         a, b = group.lines
         lo, hi = _stretch(lines, a, b)
-        middle = point_on(lines.hesse[a], np.asarray(0.5 * (lo + hi)))
-        middle = 0.5 * (middle + foot(lines.hesse[b], middle))
+        middle = _middle(lines, a, b)
         both = lines.hesse[[a, b]]
         pose = corridor_pose(both, middle, group.choice)
         D = np.zeros((3, 8))
@@ -101,6 +90,31 @@ def corridor_pose_D_lines(hesse: Array, near: Array) -> Array:
         J[:2, 2 * k : 2 * k + 2] = 0.5 * foot_D_line(hesse[k], near)
         J[2, 2 * k] = 0.5
     return J
+
+
+def _pairs(lines: LineSet, config: LandmarkConfig) -> list[tuple[int, int]]:
+    """Parallel walls that face each other at a corridor's width, the longest first."""
+    against = np.abs(wrap(lines.theta[None, :] - lines.theta[:, None] - np.pi))
+    middles = lines.ends.mean(axis=1)
+    width = -offset_of(lines.hesse[:, None], middles[None])
+    near = (against < config.parallel) & (width > config.corridor_min_width)
+    i, j = np.nonzero(np.triu(near & (width < config.corridor_max_width), 1))
+    size = lines.length[i] * lines.length[j]
+    return [(int(i[k]), int(j[k])) for k in np.lexsort((j, i, -size))]
+
+
+def _needed(lines: LineSet, a: int, b: int, config: LandmarkConfig) -> float:
+    """Metres that must be seen of both walls."""
+    width = -float(offset_of(lines.hesse[a], lines.ends[b].mean(axis=0)))
+    return max(config.corridor_min_length, config.corridor_ratio * width)
+
+
+def _middle(lines: LineSet, a: int, b: int) -> Array:
+    """The point midway between the walls, opposite the middle of what was seen of them."""
+    lo, hi = _stretch(lines, a, b)
+    on_first = point_on(lines.hesse[a], np.asarray(0.5 * (lo + hi)))
+    middle: Array = 0.5 * (on_first + foot(lines.hesse[b], on_first))
+    return middle
 
 
 def _stretch(lines: LineSet, a: int, b: int) -> tuple[float, float]:

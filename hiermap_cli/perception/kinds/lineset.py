@@ -9,6 +9,7 @@ p1 to p2 (the free side is on the left).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,7 +30,7 @@ NO_PASSAGES = np.zeros((0, 4))
 NO_PASSAGES.flags.writeable = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class LineSet:
     """n lines in one frame.
 
@@ -50,17 +51,17 @@ class LineSet:
     def __len__(self) -> int:
         return len(self.hesse)
 
-    @property
+    @cached_property
     def theta(self) -> Array:
         """Headings from p1 to p2, (n,)."""
         return wrap(self.hesse[:, 0] + 0.5 * np.pi)
 
-    @property
+    @cached_property
     def length(self) -> Array:
         """Metres from p1 to p2, (n,)."""
         return self.along[:, 1] - self.along[:, 0]
 
-    @property
+    @cached_property
     def ends(self) -> Array:
         """p1 and p2 as points, (n, 2, 2)."""
         return point_on(self.hesse[:, None], self.along)
