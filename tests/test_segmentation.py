@@ -74,11 +74,11 @@ def test_beams_name_the_ends(laser):
         (found.p1, found.first_beam, found.end1),
         (found.p2, found.last_beam, found.end2),
     ):
-        shut = kind != END_FREE
+        cut = kind == END_OPEN
         angle = mount.yaw - laser.angles()[beam]
         r = ranges[found.scan, beam]
         point = np.stack((mount.x + r * np.cos(angle), mount.y + r * np.sin(angle)), axis=1)
-        np.testing.assert_allclose(point[shut], p[shut], atol=1e-4)
+        np.testing.assert_allclose(point[cut], p[cut], atol=1e-4)
 
 
 def test_a_corner_is_where_its_walls_meet():
@@ -305,3 +305,12 @@ def test_any_ranges_make_valid_segments(data, beams, span, reach):
     assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
     assert (found.end_sigma > 0.0).all()
     assert ((found.first_beam >= 0) & (found.last_beam < beams)).all()
+
+
+def test_lines_that_meet_beyond_an_opening_make_no_vertex():
+    # Both walls end on their common point but 0.7 m apart, and beams between go on far behind.
+    walls = [(0.5, -1.3, 5.3, -1.3), (6.0, -1.25, 6.0, 2.0), (10.0, -4.0, 10.0, 2.0)]
+    found = segments(scans(walls, [(0.0, 0.0, 0.0)]))
+    corridor, end = np.argmin(np.abs(found.d - 1.3)), np.argmin(np.abs(found.d - 6.0))
+    assert found.end2[corridor] == END_FREE
+    assert found.end1[end] == END_FREE

@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scan_cases import HALF, ROOM, block, cast, line_errors, scans
+from scan_cases import FULL, HALF, ROOM, block, cast, in_world, line_errors, scans
 
 from hiermap_cli.config import LaserConfig, SegmentationConfig
 from hiermap_cli.perception.segmentation import segment_block
-from hiermap_cli.perception.segments import END_FREE
+from hiermap_cli.perception.segments import END_FREE, END_VERTEX
 
 CONFIG = SegmentationConfig()
 ORIGIN = (0.0, 0.0, 0.0)
@@ -128,3 +128,26 @@ def test_free_ends_are_as_uncertain_as_they_say(incidence):
         assert np.mean((error / sigma) ** 2) == pytest.approx(1.0, abs=0.1)
         # Neither end leans inwards or outwards.
         assert np.abs(error.mean()) < 0.1 * sigma.mean()
+
+
+def test_vertices_are_as_uncertain_as_they_say():
+    rng = np.random.default_rng(10)
+    room = [(0, 0, 6, 0), (6, 0, 6, 4), (6, 4, 0, 4), (0, 4, 0, 0)]
+    corners = np.array(room, dtype=float)[:, :2]
+    poses = [(rng.uniform(1, 5), rng.uniform(1, 3), rng.uniform(-3, 3)) for _ in range(500)]
+    ranges = scans(room, poses, FULL)
+    found = segment_block(
+        block(ranges + 0.01 * rng.standard_normal(ranges.shape), FULL), LaserConfig(), CONFIG
+    )
+    p1, p2, _, _ = in_world(found, poses)
+    along = (p2 - p1) / found.length[:, None]
+    for side, (p, kind) in enumerate(((p1, found.end1), (p2, found.end2))):
+        vertex = kind == END_VERTEX
+        assert vertex.mean() > 0.99
+        off = p[vertex, None] - corners
+        nearest = np.argmin(np.hypot(*off.transpose(2, 0, 1)), axis=1)
+        error = (off[np.arange(len(off)), nearest] * along[vertex]).sum(axis=1)
+        sigma = found.end_sigma[vertex, side]
+        assert np.mean((error / sigma) ** 2) == pytest.approx(1.0, abs=0.2)
+        # Points that both walls explain are of neither, which is not the same to both sides.
+        assert np.abs(error.mean()) < 0.3 * sigma.mean()

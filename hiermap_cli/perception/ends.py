@@ -72,22 +72,29 @@ def describe_ends(
 ) -> Ends:
     """Ends of the segments whose extreme points are `first` and `last`, (K,) each.
 
-    A free end lies anywhere between where its last beam meets the line and the next one does: its
-    mean is the middle, and its sigma that of a uniform distribution and of the line there. Other
-    ends are where the last point is projected on the line.
+    A free end or a vertex lies anywhere between where its last beam meets the line and where the
+    next does that is of something else: its mean is the middle, and its sigma that of a uniform
+    distribution and of the line there. Open ends are where the last point is projected.
     """
     lines = fit.lines
     ends = _extremes(beams, np.stack((first, last)), lines, laser)
     kind, reached, passing = _beyond(beams, ends, lines, laser, config)
-    _vertices(beams, ends, lines, kind)
-    free = kind == END_FREE
+    a, b = _vertices(beams, ends, lines, config)
+    for side, own, other, point in ((1, a, b, first), (0, b, a, last)):
+        # The beam of the other wall's extreme point.
+        kind[side, own], reached[side, own] = END_VERTEX, ends.met[side, own]
+        passing[side, own] = _meeting(beams, lines.take(own), point[other])
+    true = kind != END_OPEN
     width = np.minimum(np.abs(passing - reached), 4.0 * LOOSE * ends.spacing)
-    along = np.where(free, reached + 0.5 * width * OUTWARDS, ends.along)
+    # The middle of the bearings, as the beams lie anyhow: nearer to the laser than half way.
+    passing = reached + width * OUTWARDS
+    near, far = np.hypot(lines.d, reached), np.hypot(lines.d, passing)
+    along = np.where(true, (reached * far + passing * near) / (near + far), ends.along)
     nx, ny, d = lines
     lever = along - (nx * fit.cy - ny * fit.cx)
     across = (fit.var_d + lever * lever * fit.var_alpha) * ends.slope**2
     variance = np.where(
-        free, width * width / 12.0 + across, ends.spacing**2 / 3.0 + ends.range_blur**2
+        true, width * width / 12.0 + across, ends.spacing**2 / 3.0 + ends.range_blur**2
     )
     return Ends(
         d * nx - along * ny,
@@ -158,9 +165,21 @@ def _beyond(
     return np.where(free_end, END_FREE, END_OPEN).astype(np.int64), reached, passing
 
 
-def _vertices(beams: Beams, ends: _Extremes, lines: Lines, kind: Index) -> None:
-    """Set END_VERTEX in `kind` (2, K) where a segment and the next of its scan meet in a corner."""
-    total = kind.shape[1]
+def _meeting(beams: Beams, lines: Lines, point: Index) -> Array:
+    """Where on the lines (K,) the beams of points (K,) meet them."""
+    dx, dy = beams.dx.take(point), beams.dy.take(point)
+    cosine = np.maximum(lines.nx * dx + lines.ny * dy, GRAZING)
+    return np.asarray(lines.d * (lines.nx * dy - lines.ny * dx) / cosine)
+
+
+def _vertices(
+    beams: Beams, ends: _Extremes, lines: Lines, config: SegmentationConfig
+) -> tuple[Index, Index]:
+    """Segments (V,) whose last end meets the first end of other ones (V,) in a vertex.
+
+    Their lines meet where both end, and the beams between, but for one, end on either wall.
+    """
+    total = ends.row.shape[1]
     a = np.arange(total)
     b = a + 1
     b[-1] = 0
@@ -186,5 +205,16 @@ def _vertices(beams: Beams, ends: _Extremes, lines: Lines, kind: Index) -> None:
     reach = 1.5 * gap
     meet = past_a < reach * ends.spacing[1, a] + 4.0 * ends.range_blur[1, a] + 0.03
     meet &= past_b < reach * ends.spacing[0, b] + 4.0 * ends.range_blur[0, b] + 0.03
-    kind[1, a[meet]] = END_VERTEX
-    kind[0, b[meet]] = END_VERTEX
+    a, b, gap = a[meet], b[meet], gap[meet]
+    step = np.arange(1, LOOSE)[:, None]
+    cell = ends.row[1, a] * beams.ranges.shape[1]
+    cell = cell + (ends.column[1, a] + step) % beams.ranges.shape[1]
+    r, beam = beams.ranges.take(cell), beams.beam(cell)
+    ux, uy = beams.ux.take(beam), beams.uy.take(beam)
+    off = [
+        np.abs(r * np.maximum(nx * ux + ny * uy, GRAZING) - d)
+        for nx, ny, d in (lines.take(a), lines.take(b))
+    ]
+    elsewhere = (np.fmin(*off) > 2.0 * config.split_floor) & (step < gap)
+    whole = elsewhere.sum(axis=0) <= 1
+    return a[whole], b[whole]

@@ -27,9 +27,9 @@ class SegmentBlock:
     scan: (S,) index of the scan in the block. first_beam, last_beam: (S,) the beams of the
         extreme points at p1 and p2; where beams run clockwise, or over the seam of a full circle,
         the first is the larger.
-    p1, p2: (S, 2) end points, projections of the extreme points on the line; an END_FREE one is
-        the middle between where the last beam meets the line and where the next one, which passes
-        it, does: nearer to the surface's end, and without a bias inwards.
+    p1, p2: (S, 2) end points on the line, projections of the extreme points; an END_FREE or
+        END_VERTEX one is the middle between where the last beam meets the line and where the next
+        one that is of something else does: the surface's end, without a bias inwards.
     alpha, d: (S,) Hesse form: the unit normal (cos alpha, sin alpha) points to the **material**
         side, and d = normal . point is the line's signed distance from the robot's origin.
     centre: (S, 2) weighted centre of the points; covariance: (S, 2, 2) of (alpha, d_c), where
