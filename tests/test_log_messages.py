@@ -208,6 +208,17 @@ def test_what_is_written_rosbags_reads(tmp_path):
     assert scan.header.stamp.nanosec == 7
 
 
+@given(
+    st.floats(1e-200, 10.0)
+    | st.floats(-10.0, -1e-200)
+    | st.integers(-3_200_000, 3_200_000).map(lambda n: n * 1e-6)
+)
+def test_a_written_heading_is_read_back_to_the_last_bit(theta):
+    data = cdr_write.odometry(5, "odom", "base_link", (0.0, 0.0, theta), None)
+    (reading,) = ros_decode.odometry_cdr(data)
+    assert reading.theta == math.remainder(theta, 2.0 * math.pi)
+
+
 @pytest.mark.parametrize("mount", [Mount(), Mount(0.2, 0.1, -2.0), Mount(0, 0, 3.0, flipped=True)])
 def test_a_written_mount_is_read_back(tmp_path, mount):
     from hiermap_cli.config import InputConfig

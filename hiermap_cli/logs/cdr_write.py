@@ -25,6 +25,9 @@ _LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _SECOND = 1_000_000_000
 _SCAN_FIELDS = struct.Struct("<7f")
 _POSE = struct.Struct("<7d")
+_EPSILON = 2.0**-53  # relative; changes the last digit of a double by one at most
+_VARIATIONS = [(i, k) for i in range(-6, 7) for k in range(-6, 7)]
+_VARIATIONS.sort(key=lambda pair: abs(pair[0]) + abs(pair[1]))
 _TWIST = bytes(8 * (6 + 36))
 
 
@@ -76,12 +79,29 @@ def odometry(
     """`nav_msgs/msg/Odometry` of a pose `[x, y, theta]` and its covariance (3, 3), no twist."""
     x, y, theta = (float(value) for value in pose)
     head = aligned(aligned(stamp(stamp_ns) + text(frame), 4) + text(child), 8)
-    rotation = (0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta))
+    rotation = (0.0, 0.0, *planar_rotation(theta))
     full = np.zeros((6, 6), dtype="<f8")
     if covariance is not None:
         full[np.ix_((0, 1, 5), (0, 1, 5))] = covariance
     body = _POSE.pack(x, y, 0.0, *rotation)
     return b"".join((_LITTLE_ENDIAN, head, body, full.tobytes(), _TWIST))
+
+
+def planar_rotation(theta: float) -> tuple[float, float]:
+    """z and w of the quaternion of a heading, so that `2 atan2(z, w)` is the heading again.
+
+    To the last bit: the last digits of sine and cosine are varied until it is. Whoever reads
+    the log has the same odometry as whoever reads what it was converted from.
+    """
+    theta = math.remainder(theta, 2.0 * math.pi)
+    z, w = math.sin(0.5 * theta), math.cos(0.5 * theta)
+    if 2.0 * math.atan2(z, w) == theta:
+        return z, w
+    for i, k in _VARIATIONS:
+        varied = z * (1.0 + i * _EPSILON), w * (1.0 + k * _EPSILON)
+        if 2.0 * math.atan2(*varied) == theta:
+            return varied
+    return z, w
 
 
 def tf_message(transforms: Sequence[Transform]) -> bytes:

@@ -1,8 +1,8 @@
 """Any log that can be read, written as a ROS 2 MCAP: the body of `hiermap convert`.
 
 What is written is what `run` would read: scans of the chosen topic with their ranges translated,
-the chosen odometry, both at their settled times and in the log's order, and the mount. Scans and
-stamps come back to the last bit, odometry's headings to the last digit or two.
+the chosen odometry, both by their settled times, and the mount. What `run` then reads is the
+same to the last bit.
 """
 
 from __future__ import annotations
