@@ -96,7 +96,7 @@ def test_the_report_tells_what_was_read(log, tmp_path):
     assert values["matches"] == 120.0
     assert values["areas"] == 2.0
     assert values["odometry_correction_end"] > 0.0
-    assert {"open", "read", "filter", "write", "total"} <= set(report["timing"])
+    assert {"open", "read", "filter", "write", "processor", "total"} <= set(report["timing"])
 
 
 @pytest.mark.usefixtures("mapped")

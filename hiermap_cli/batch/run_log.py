@@ -52,7 +52,8 @@ class Observer:
 class RunOutcome:
     """What a run left: the folder, and what its report says.
 
-    metrics: in the order of the report; events: in the order of time; timing: seconds by stage.
+    metrics: in the order of the report; events: in the order of time; timing: seconds of
+    processor time by stage, and `total` by the clock on the wall.
     """
 
     output: Path
@@ -114,7 +115,7 @@ def run_log(
     with output_folder(output, force=force, inputs=paths) as folder:
         write_result(folder, result)
         clock.lap("write")
-        timing |= {"write": clock.laps["write"], "total": clock.total()}
+        timing |= {"write": clock.laps["write"], **clock.totals()}
         dropped = dict(source.dropped)
         for reason, count in result.dropped.items():
             dropped[reason] = dropped.get(reason, 0) + count
@@ -144,19 +145,19 @@ def _some(lost: tuple[str, ...]) -> tuple[str, ...]:
 
 
 class _Clock:
-    """Seconds between laps."""
+    """Seconds of processor time between laps, and of both kinds since the beginning."""
 
     def __init__(self) -> None:
-        self._begin = self._last = time.perf_counter()
+        self._begin, self._last = time.perf_counter(), time.process_time()
         self.laps: dict[str, float] = {}
 
     def lap(self, name: str) -> None:
-        now = time.perf_counter()
+        now = time.process_time()
         self.laps[name] = now - self._last
         self._last = now
 
-    def total(self) -> float:
-        return time.perf_counter() - self._begin
+    def totals(self) -> dict[str, float]:
+        return {"processor": time.process_time(), "total": time.perf_counter() - self._begin}
 
 
 class _Watched:
@@ -171,9 +172,9 @@ class _Watched:
         """The blocks; one is counted as worked off when the next is asked for."""
         iterator = iter(blocks)
         while True:
-            begin = time.perf_counter()
+            begin = time.process_time()
             block = next(iterator, None)
-            self.seconds += time.perf_counter() - begin
+            self.seconds += time.process_time() - begin
             if block is None:
                 break
             self._odometry.append(block.odometry)
