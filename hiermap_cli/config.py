@@ -146,6 +146,7 @@ class RelocationConfig(Section):
     max_offset: Positive = Field(0.12, description="metres between a segment and its wall")
     min_share: Positive = Field(0.4, le=1, description="share of the segments' length explained")
     gain: NonNegative = Field(0.15, le=1, description="share matched more than before")
+    min_gain: NonNegative = Field(0.8, description="metres matched more than before")
     min_explained: Positive = Field(2.0, description="metres of segments explained")
     second: Positive = Field(0.85, le=1, description="the second best, of the best")
     distinct: Positive = Field(0.3, description="metres between different places")

@@ -99,6 +99,12 @@ class Mapper:
         motion = self._motion(increment)
         suspect = self._implausible(stamp_ns, increment)
         if suspect:
+            if distance > self.config.relocation.max_distance:
+                # Farther than is searched: it never was there, and the wheels still told where
+                # it was at the last scan.
+                told = self.trail.last_increment()
+                motion = self._motion(np.zeros(3) if told is None else told)
+                distance = float(np.hypot(motion.pose[0], motion.pose[1]))
             motion = odometry_model.distrusted(motion, self.config.odometry)
         self._set(replace(self.area, V=predict(self.area.V, motion)))
         self._odometry = odometry
@@ -165,6 +171,7 @@ class Mapper:
 
     def _observe(self, stamp_ns: int, view: SegmentView, *, suspect: bool = False) -> None:
         view = with_noise(view, self.config.filter, self.noise.laser, self.noise.walls)
+        known = len(self.area.features.uid)
         step: Step = observe(self.area, view, self.key, self.config)
         if suspect or self._poor(view, step):
             step = self._found_again(stamp_ns, view, step, suspect=suspect)
@@ -177,7 +184,7 @@ class Mapper:
         n.matched += len(step.matches.wall)
         n.nis += step.nis
         n.degrees += step.degrees
-        if step.offered and not len(step.matches.wall):
+        if step.offered and known and not len(step.matches.wall):
             n.failed += 1
             self._event(stamp_ns, "matching_failed", area=self._name(), segments=step.offered)
         self.key += 1
@@ -200,7 +207,8 @@ class Mapper:
             area = replace(self.area, V=hypothesis)
             again = observe(area, view, self.key, self._wide)
             matched, total = _matched_length(view, again), float(view.length.sum())
-            if matched >= max(_matched_length(view, step) + c.gain * total, c.min_share * total):
+            more = matched - _matched_length(view, step) >= max(c.gain * total, c.min_gain)
+            if more and matched >= max(c.min_share * total, c.min_explained):
                 moved = se2.between(step.area.V.robot, again.area.V.robot)
                 self._event(stamp_ns, "relocated", area=self._name(), moved=moved.tolist())
                 return again
