@@ -88,7 +88,8 @@ def describe_ends(
     width = np.minimum(np.abs(passing - reached), 4.0 * LOOSE * ends.spacing)
     # The middle of the bearings, as the beams lie anyhow: nearer to the laser than half way.
     passing = reached + width * OUTWARDS
-    near, far = np.hypot(lines.d, reached), np.hypot(lines.d, passing)
+    square = lines.d * lines.d
+    near, far = np.sqrt(square + reached * reached), np.sqrt(square + passing * passing)
     along = np.where(true, (reached * far + passing * near) / (near + far), ends.along)
     nx, ny, d = lines
     lever = along - (nx * fit.cy - ny * fit.cx)
