@@ -97,7 +97,7 @@ def wall_lines(
             moved = np.array([-s[i], c[i], s[i] * P[1] + c[i] * P[0]])
             by_state[i, 2 + k, V.columns(1 + e)] += moved @ V.invariant_D_error(P)
             by_state[i, 2 + k] -= d[i] * by_state[i, 0]
-    flat = by_state.reshape(4 * n, -1)
+    flat = by_state.reshape(4 * n, len(V.covariance))
     lines = LineSet(
         hesse=np.column_stack((alpha, d)),
         along=along,
