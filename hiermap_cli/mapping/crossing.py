@@ -82,7 +82,7 @@ class Crossings:
     _cut: bool = False
 
     def __post_init__(self) -> None:
-        self.places = Places(self.config.areas.opening)
+        self.places = Places(self.config.doors.max_width)
         self._detector = PassageDetector(self.config.doors)
         self._doors = KnownDoors(self.config.doors.hysteresis)
         self._recogniser = Recogniser(self.config)

@@ -35,7 +35,7 @@ class Places:
     the robot saw after a door is the next area's, although it learned of the door later.
     """
 
-    opening: float  # metres: what is seen through a narrower one lies outside
+    widest_door: float  # metres
     grids: dict[int, FreeGrid] = field(default_factory=dict)
     paths: dict[int, set[tuple[int, int]]] = field(default_factory=dict)
     ground: dict[int, dict[tuple[int, int], float]] = field(default_factory=dict)
@@ -100,7 +100,10 @@ class Places:
         )
 
     def region(self, area: int, map_: AreaMap, portals: Sequence[Portal]) -> Region:
-        """The free space of an area within its doors, in its frame."""
+        """The free space of an area within its doors, in its frame, where it surely is the area.
+
+        What is seen through any opening that may be a door is left out.
+        """
         grid = self.grids.get(area)
         if grid is None:
             return Region(np.zeros((0, 0), dtype=bool), (0, 0))
@@ -108,7 +111,7 @@ class Places:
         known = self._regions.get(area)
         if known is not None and known[:2] == (grid.scans, len(doors)):
             return known[2]
-        region = grid.region(self.path(area), doors, self.opening)
+        region = grid.region(self.path(area), doors, self.widest_door)
         self._regions[area] = (grid.scans, len(doors), region)
         return region
 
@@ -116,11 +119,11 @@ class Places:
         """Where the robot was in an area: cells' centres (n, 2), in its frame."""
         return CELL * (np.array(sorted(self.paths.get(area, ()))).reshape(-1, 2) + 0.5)
 
-    def size(self, area: int, map_: AreaMap, portals: Sequence[Portal]) -> float:
-        """Square metres of an area's free space, that between furniture as well."""
+    def size(self, area: int, map_: AreaMap, portals: Sequence[Portal], opening: float) -> float:
+        """Square metres of an area's free space as far as it is wider than `opening` metres."""
         grid = self.grids.get(area, FreeGrid())
         doors = door_barriers(area, map_, portals)
-        return grid.region(self.path(area), doors, 0.5 * self.opening).area()
+        return grid.region(self.path(area), doors, opening).area()
 
     def within(self, trace: Trace, R_h_c: Array, region: Region, since: float) -> bool:
         """Whether all the path since `since` lies in a region of another area."""

@@ -83,7 +83,7 @@ def decide(
     for members in case.doors():
         if case.evidence(members) < doors.min_evidence * needed(portals[members[0]].width):
             case.refuse(members, "too little wall beside it, over all crossings")
-    sizes = [places.size(i, area, portals) for i, area in enumerate(areas)]
+    sizes = [places.size(i, area, portals, 0.5 * config.opening) for i, area in enumerate(areas)]
     while (small := case.too_small(sizes, config.min_area)) is not None:
         beside = [m for m in case.doors() if small in case.ends(m[0])]
         case.refuse(min(beside, key=case.evidence), "the area behind it is too small")
