@@ -148,6 +148,47 @@ def test_a_log_of_unknown_types_is_refused(log):
     refused(log, "no laser scans in it, only /a")
 
 
+def test_scans_of_nan_are_refused(log):
+    log.odometry()
+    for i in range(20):
+        message = cases.scan_message(cases.STORE2, (i + 1) * SECOND, i)
+        message.ranges = np.full(180, [math.nan, 0.0, -1.0][i % 3], dtype=np.float32)
+        log.add("/scan", SCAN, (i + 1) * SECOND, message)
+    recording = log.open()
+    with pytest.raises(InputError, match="none of the 20 scans on /scan has a valid range"):
+        list(recording.blocks())
+
+
+@pytest.mark.parametrize(
+    ("start", "step", "beams", "match"),
+    [
+        (-90.0, 1.0, 180, "are these degrees"),
+        (math.nan, 0.01, 180, "make no sense"),
+        (-1.0, 0.0, 180, "make no sense"),
+        (-1.0, 0.01, 0, "are empty"),
+    ],
+)
+def test_scans_without_directions_are_refused(log, start, step, beams, match):
+    log.odometry()
+    for i in range(5):
+        message = cases.scan_message(cases.STORE2, (i + 1) * SECOND, i)
+        message.angle_min, message.angle_increment = start, step
+        message.ranges = np.ones(beams, dtype=np.float32)
+        log.add("/scan", SCAN, (i + 1) * SECOND, message)
+    refused(log, match)
+
+
+def test_beams_that_run_clockwise_are_said(log):
+    log.odometry()
+    for i in range(5):
+        message = cases.scan_message(cases.STORE2, (i + 1) * SECOND, i)
+        message.angle_min, message.angle_increment = 1.5, -0.01
+        log.add("/scan", SCAN, (i + 1) * SECOND, message)
+    recording = log.open()
+    assert any("clockwise" in warning for warning in recording.plan.warnings)
+    assert next(recording.blocks()).laser.angle_increment < 0
+
+
 # -------------------------------------------------------------------- transforms
 
 

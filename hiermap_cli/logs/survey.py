@@ -79,10 +79,7 @@ def make_plan(source: Source, log: str, options: InputConfig) -> Plan:
     assert isinstance(first, Odometry)
     base = frame_name(first.child) or _base_frame(steady, scan_frame)
     mount, mount_source = _mount(options.mount, (static, steady), base, scan_frame, warnings)
-    seen = (r.value.laser for r in head.scans if isinstance(r.value, Scan))
-    laser = next((laser for laser in seen if sound_geometry(laser)), None)
-    if laser is None:
-        raise InputError(f"{log}: no scan on {scans.name} has a single beam with a direction")
+    laser = _first_laser(log, scans.name, head)
     warnings += _mount_warnings(mount, laser)
     return Plan(
         scans.name,
@@ -95,6 +92,22 @@ def make_plan(source: Source, log: str, options: InputConfig) -> Plan:
         first,
         laser,
         tuple(warnings),
+    )
+
+
+def _first_laser(log: str, topic: str, head: Head) -> LaserGeometry:
+    """The geometry of the first scan that has one. Raises InputError where none has."""
+    seen = [r.value.laser for r in head.scans if isinstance(r.value, Scan)]
+    sound = next((laser for laser in seen if sound_geometry(laser)), None)
+    if sound is not None:
+        return sound
+    if not any(laser.beams for laser in seen):
+        raise InputError(f"{log}: the scans on {topic} are empty")
+    start, step = seen[0].angle_min, seen[0].angle_increment
+    hint = ": are these degrees?" if abs(start) > 7.0 or abs(step) > 0.2 else ""
+    raise InputError(
+        f"{log}: the angles of the scans on {topic} make no sense (from {start:g} by {step:g} "
+        f"radians a beam){hint}"
     )
 
 
