@@ -72,8 +72,9 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
         area = _seen(area, matches, along, key)
     known = len(area.features.uid)
     new = ~found.near & (view.length >= config.filter.min_new_length)
-    area = add_walls(area, view, np.flatnonzero(new), key)
-    area = _new_ends(area, view, matches, np.flatnonzero(new), known, key, config, along)
+    founded = new.nonzero()[0]
+    area = add_walls(area, view, founded, key)
+    area = _new_ends(area, view, matches, founded, known, key, config, along)
     return Step(area, matches, found.offered, nis, degrees, told)
 
 
@@ -141,7 +142,7 @@ def _new_ends(
     sigma = view.end_sigma[segments[i], side]
     seen_twice, glimpsed = _glimpsed_before(area, walls[i], side, x, sigma, key, config.filter)
     area = replace(area, glimpsed=glimpsed)
-    at = np.flatnonzero(seen_twice)
+    at = seen_twice.nonzero()[0]
     return add_ends(area, walls[i[at]], x[at], sigma[at], side[at], key)
 
 

@@ -81,23 +81,45 @@ class AreaMap:
 
 
 class Frames(NamedTuple):
-    """Objects' frames as the scan sees them, n objects.
+    """Objects' frames as the scan sees them, R_s_l of n objects.
 
-    X, y, theta of R_s_l, and the cosine and sine of theta, (n,) each.
+    table: (5, n), the rows x, y, theta, and the cosine and the sine of theta: in one array, so
+    that some objects are picked out at one stroke.
 
     Segments are given with the nominal mount; the laser's x error moves them along the robot's
     X axis, so that s, the pose for measuring, is `R_r (laser_x, 0, 0)`.
     """
 
-    x: Array
-    y: Array
-    theta: Array
-    cos: Array
-    sin: Array
+    table: Array
+
+    @property
+    def x(self) -> Array:
+        """X of R_s_l, (n,)."""
+        return np.asarray(self.table[0])
+
+    @property
+    def y(self) -> Array:
+        """Y of R_s_l, (n,)."""
+        return np.asarray(self.table[1])
+
+    @property
+    def theta(self) -> Array:
+        """Heading of R_s_l, (n,), not wrapped."""
+        return np.asarray(self.table[2])
+
+    @property
+    def cos(self) -> Array:
+        """Cosine of the heading, (n,)."""
+        return np.asarray(self.table[3])
+
+    @property
+    def sin(self) -> Array:
+        """Sine of the heading, (n,)."""
+        return np.asarray(self.table[4])
 
     def select(self, objects: Index) -> Frames:
         """The frames of some objects."""
-        return Frames(*(column[objects] for column in self))
+        return Frames(self.table[:, objects])
 
 
 def seen_frames(V: StochasticMap, objects: Index | None = None) -> Frames:
@@ -106,8 +128,13 @@ def seen_frames(V: StochasticMap, objects: Index | None = None) -> Frames:
     x_s, y_s, theta_s = measuring_pose(V).tolist()
     c, s = math.cos(theta_s), math.sin(theta_s)
     dx, dy = poses[:, 0] - x_s, poses[:, 1] - y_s
-    theta = poses[:, 2] - theta_s
-    return Frames(c * dx + s * dy, c * dy - s * dx, theta, np.cos(theta), np.sin(theta))
+    table = np.empty((5, len(poses)))
+    table[0] = c * dx + s * dy
+    table[1] = c * dy - s * dx
+    theta = table[2] = poses[:, 2] - theta_s
+    np.cos(theta, out=table[3])
+    np.sin(theta, out=table[4])
+    return Frames(table)
 
 
 def measuring_pose(V: StochasticMap) -> Array:

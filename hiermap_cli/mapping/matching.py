@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -107,8 +108,8 @@ def wall_pairs(
     heading does not change.
     """
     f = area.features
-    walls = np.flatnonzero(f.kind == WALL)
-    segments = np.flatnonzero(view.length >= min_length)
+    walls = (f.kind == WALL).nonzero()[0]
+    segments = (view.length >= min_length).nonzero()[0]
     none = Pairs(_NONE, _NONE, np.zeros(0))
     if not len(walls) or not len(segments):
         return none
@@ -121,7 +122,7 @@ def wall_pairs(
     offset = s * centre[:, 0] - c * centre[:, 1]
     gap = np.maximum(foot + f.lo[walls] - along[:, 1:], along[:, :1] - (foot + f.hi[walls]))
     i, j = np.nonzero(
-        (np.abs(se2.wrap(theta[:, None] - F.theta)) < config.max_angle)
+        (np.cos(theta[:, None] - F.theta) > math.cos(config.max_angle))
         & (np.abs(offset[:, None] - aside) < config.max_offset)
         & (gap < config.max_gap)
     )
@@ -131,7 +132,8 @@ def wall_pairs(
     distance, log_det = _pair_distances(area.V, frames.select(wall), view, segment, wall)
     good = distance < chi_square(config.gate, 2)
     segment, wall = segment[good], wall[good]
-    overlap = np.clip(-gap[i, j][good] / np.maximum(view.length[segment], 1e-6), -1.0, 1.0)
+    overlap = -gap[i, j][good] / view.length[segment]
+    overlap = np.minimum(np.maximum(overlap, -1.0), 1.0)
     cost = distance[good] + log_det[good] - config.overlap_bonus * overlap
     order = np.lexsort((cost, segment))
     return Pairs(segment[order], wall[order], cost[order])
@@ -189,7 +191,7 @@ def _best(segment: Index) -> Index:
     new = np.empty(len(segment), dtype=bool)
     new[:1] = True
     np.not_equal(segment[1:], segment[:-1], out=new[1:])
-    return np.flatnonzero(new)
+    return new.nonzero()[0]
 
 
 def _jointly_compatible(
