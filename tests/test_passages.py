@@ -1,0 +1,194 @@
+"""Narrow places on the path: doors against furniture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hiermap_cli.config import DoorConfig, LaserConfig
+from hiermap_cli.geometry import se2
+from hiermap_cli.logs.records import LaserGeometry, Mount, ScanBlock
+from hiermap_cli.mapping.passages import (
+    Passage,
+    PassageDetector,
+    Trace,
+    aligned,
+    line_evidence,
+    narrowest_chord,
+    needed,
+)
+from hiermap_cli.perception.sight import REACH, Sight, sights
+
+# Two rooms and a wall 0.2 m thick between them at x = 0, with a door 0.9 m wide.
+JAMBS = (-0.45, 0.45)
+ROOMS = [
+    [(-4, -3), (-0.1, -3)], [(-4, 3), (-0.1, 3)], [(-4, -3), (-4, 3)],
+    [(0.1, -3), (4, -3)], [(0.1, 3), (4, 3)], [(4, -3), (4, 3)],
+]  # fmt: skip
+WALL = [
+    [(-0.1, -3), (-0.1, JAMBS[0])], [(0.1, -3), (0.1, JAMBS[0])],
+    [(-0.1, JAMBS[0]), (0.1, JAMBS[0])], [(-0.1, 3), (-0.1, JAMBS[1])],
+    [(0.1, 3), (0.1, JAMBS[1])], [(-0.1, JAMBS[1]), (0.1, JAMBS[1])],
+]  # fmt: skip
+OUTSIDE = [[(-4, -3), (4, -3)], [(-4, 3), (4, 3)], [(-4, -3), (-4, 3)], [(4, -3), (4, 3)]]
+
+
+def box(x, y, w, h):
+    corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h)]
+    return [[corners[i], corners[(i + 1) % 4]] for i in range(4)]
+
+
+FURNITURE = OUTSIDE + box(-0.25, -0.95, 0.5, 0.5) + box(-0.25, 0.45, 0.5, 0.5)
+
+
+def look(pose, walls, fov=np.pi, beams=181):
+    """What a laser at the robot's origin sees of the walls."""
+    angles = np.linspace(-0.5 * fov, 0.5 * fov, beams)
+    a = np.array(walls, dtype=float)[:, 0]
+    edge = np.array(walls, dtype=float)[:, 1] - a
+    d = np.stack((np.cos(angles + pose[2]), np.sin(angles + pose[2])), axis=1)[:, None]
+    away = a - pose[:2]
+    cross = d[..., 0] * edge[:, 1] - d[..., 1] * edge[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (away[:, 0] * edge[:, 1] - away[:, 1] * edge[:, 0]) / cross
+        s = (away[:, 0] * d[..., 1] - away[:, 1] * d[..., 0]) / cross
+    r = np.where((t > 1e-9) & (s >= 0) & (s <= 1), t, np.inf).min(axis=1)
+    seen = np.isfinite(r)
+    ends = r[seen, None] * np.stack((np.cos(angles[seen]), np.sin(angles[seen])), axis=1)
+    return Sight(np.zeros(2), ends)
+
+
+def straight(start=(-2.5, 0.0), heading=0.0, length=4.5, step=0.1):
+    n = round(length / step) + 1
+    at = np.arange(n) * step
+    return np.column_stack(
+        (start[0] + at * np.cos(heading), start[1] + at * np.sin(heading), np.full(n, heading))
+    )
+
+
+def drive(poses, walls):
+    """The passages told on a way through walls."""
+    trace, detector, told = Trace(), PassageDetector(DoorConfig()), []
+    before = poses[0]
+    for pose in poses:
+        step = float(np.hypot(*(pose[:2] - before[:2])))
+        trace.add(pose, step, look(pose, walls))
+        passage = detector.passed(trace)
+        if passage is not None:
+            told.append(passage)
+        before = pose
+    return told, trace
+
+
+def test_a_door_is_told_once_with_its_place_width_and_walls():
+    (door,), _ = drive(straight(), ROOMS + WALL)
+    assert door.frame[:2] == pytest.approx([0.0, 0.0], abs=0.15)
+    assert abs(se2.wrap(door.frame[2] + 0.5 * np.pi)) < 0.15  # Y in the direction of crossing
+    assert door.width == pytest.approx(0.9, abs=0.1)
+    assert door.evidence > 2.0
+    assert door.evidence >= DoorConfig().min_evidence * needed(door.width)
+
+
+@pytest.mark.parametrize("slant", [-0.6, -0.3, 0.3, 0.6])
+def test_a_door_passed_at_a_slant_is_the_same_door(slant):
+    start = (-2.2 * np.cos(slant), -2.2 * np.sin(slant))
+    (door,), _ = drive(straight(start, slant, 3.9), ROOMS + WALL)
+    assert door.frame[:2] == pytest.approx([0.0, 0.0], abs=0.2)
+    assert door.width < 1.05
+    assert door.evidence > 1.5
+
+
+def test_a_gap_between_furniture_is_narrow_but_no_door():
+    told, _ = drive(straight(), FURNITURE)
+    assert told
+    for passage in told:
+        assert passage.evidence < DoorConfig().min_evidence * needed(passage.width)
+
+
+def test_an_empty_room_has_no_narrow_place():
+    told, _ = drive(straight(), OUTSIDE)
+    assert told == []
+
+
+def test_who_turns_round_behind_a_door_has_not_gone_through():
+    out, back = straight(length=2.8), straight((0.3, 0.0), np.pi, 2.6)
+    spin = np.column_stack((np.full(12, 0.3), np.zeros(12), np.linspace(0.2, np.pi, 12)))
+    told, _ = drive(np.vstack((out, spin, back)), ROOMS + WALL)
+    assert told == []
+
+
+def test_a_wide_opening_needs_more_wall():
+    assert needed(0.7) == needed(1.0) == 1.0
+    assert needed(1.6) == 1.6
+
+
+def test_the_narrowest_chord_has_both_its_ends_on_what_was_seen():
+    ends = np.array([[0.0, 0.5], [0.1, -0.4], [1.0, 0.0], [-1.2, 0.1]])
+    width, jambs = narrowest_chord(np.zeros(2), ends)
+    assert width == pytest.approx(0.5 + np.hypot(0.1, 0.4))
+    assert {tuple(j) for j in jambs} == {(0.0, 0.5), (0.1, -0.4)}
+
+
+def test_a_chord_into_the_open_is_as_long_as_is_looked_for():
+    width, jambs = narrowest_chord(np.zeros(2), np.array([[5.0, 5.0]]))
+    assert width == pytest.approx(3.2)
+    assert np.hypot(*(jambs[0] - jambs[1])) == pytest.approx(3.2, abs=0.4)
+
+
+def test_the_line_is_wall_where_beams_end_and_open_where_they_pass():
+    origins, ends = np.full((400, 2), [0.0, -2.0]), np.zeros((400, 2))
+    ends[:, 0] = np.linspace(-2.0, 2.0, 400)
+    ends[200:, 1] = 2.0  # to the right they go on
+    wall, opened = line_evidence(np.zeros(3), 0.0, origins, ends)
+    assert wall[0] == pytest.approx(1.2)
+    assert opened[1] == pytest.approx(0.0 + 1.0, abs=0.3)
+    assert wall[1] == opened[0] == 0.0
+
+
+def test_a_frame_is_turned_along_the_wall():
+    _, trace = drive(straight(), ROOMS + WALL)
+    askew = np.array([0.0, 0.0, -0.5 * np.pi + 0.3])
+    found, wall, opened = aligned(askew, 0.9, *trace.rays(0.0))
+    assert abs(se2.wrap(found[2] + 0.5 * np.pi)) < abs(0.3)
+    assert wall.sum() > 2.0
+    assert opened.sum() < 0.3
+
+
+def test_a_trace_moves_with_the_frame_and_forgets_what_is_far_behind():
+    _, trace = drive(straight(length=6.0, start=(-3.0, 0.0)), OUTSIDE)
+    assert trace.travelled[0] >= trace.length - 5.0 - 1e-9
+    before = trace.rays(0.0)[1].copy()
+    R = np.array([1.0, 2.0, 0.5])
+    trace.move(R)
+    c, s = np.cos(0.5), np.sin(0.5)
+    assert trace.rays(0.0)[1] == pytest.approx(R[:2] + before @ np.array([[c, s], [-s, c]]))
+    told = trace.older(-1.0)
+    assert told
+    assert trace.older(-1.0) == []
+
+
+def test_the_evidence_of_a_passage_is_wall_less_opening():
+    passage = Passage(np.zeros(3), 1.0, 0.0, np.array([0.8, 0.7]), np.array([0.2, 0.1]))
+    assert passage.evidence == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize("flipped", [False, True])
+def test_sights_keep_the_nearest_of_neighbouring_beams(flipped):
+    laser = LaserGeometry(-1.0, 0.01, 201, 0.05, 30.0)
+    ranges = np.full((1, 201), 4.0, np.float32)
+    ranges[0, 10] = 1.0
+    ranges[0, 60:70] = np.inf
+    ranges[0, 100:110] = np.nan
+    ranges[0, 150:160] = 25.0
+    block = ScanBlock(
+        np.zeros(1, np.int64), ranges, np.zeros((1, 3)), np.ones(1, bool), laser,
+        Mount(x=0.2, y=0.1, flipped=flipped),
+    )  # fmt: skip
+    (sight,) = list(sights(block, LaserConfig()))
+    far = np.hypot(*(sight.ends - sight.origin).T)
+    assert sight.origin == pytest.approx([0.2, 0.1])
+    assert far.min() == pytest.approx(1.0)
+    assert far.max() <= REACH + 1e-6
+    near = sight.ends[np.argmin(far)] - sight.origin
+    assert np.arctan2(near[1], near[0]) == pytest.approx(0.9 if flipped else -0.9)
+    assert len(sight.ends) < 201 / 2
