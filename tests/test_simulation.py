@@ -263,25 +263,22 @@ def test_written_files_are_read_back_as_they_were(tmp_path):
     assert recording.report().odometry == len(simulation.odometry_ns)
 
 
-def messages(path):
-    from mcap.reader import make_reader
-
-    with path.open("rb") as file:
-        return [
-            (channel.topic, message.log_time, message.data)
-            for _, channel, message in make_reader(file).iter_messages()
-        ]
-
-
 @pytest.mark.parametrize("name", SMALL_WORLDS)
 def test_the_logs_of_datasets_are_made_by_the_command(name, tmp_path):
     arguments = ["simulate", str(DATASETS / f"{name}.yaml"), "-o", str(tmp_path / "a")]
     assert CliRunner().invoke(cli, [*arguments, "--seed", "1", "-q"]).exit_code == 0
-    kept = DATASETS / name
-    for file in ("truth.tum", "reference.json"):
-        assert (kept / file).read_bytes() == (tmp_path / "a" / file).read_bytes()
-    # The message bytes, not the file's: compression may differ from machine to machine.
-    assert messages(kept / "log.mcap") == messages(tmp_path / "a" / "log.mcap")
+    kept, made = DATASETS / name, tmp_path / "a"
+    # Numbers, not bytes: the last bit of a sine differs from processor to processor.
+    truths = [read_tum(folder / "truth.tum") for folder in (kept, made)]
+    assert np.array_equal(truths[0].stamps_ns, truths[1].stamps_ns)
+    assert np.allclose(truths[0].poses, truths[1].poses, atol=1e-8)
+    assert (kept / "reference.json").read_text() == (made / "reference.json").read_text()
+    logs = [open_recording([folder / "log.mcap"], InputConfig()) for folder in (kept, made)]
+    for one, other in zip(*(log.blocks() for log in logs), strict=True):
+        assert np.array_equal(one.stamps_ns, other.stamps_ns)
+        assert np.allclose(one.odometry, other.odometry, atol=1e-8)
+        same = np.isclose(one.ranges, other.ranges, atol=1e-5, equal_nan=True)
+        assert same.mean() > 0.9999  # a beam along an edge may end before or behind it
     assert (kept / "log.mcap").stat().st_size < 600_000
 
 
