@@ -69,12 +69,12 @@ class StochasticMap:
         """d (x, y, theta) / d error of a pose, in this map's coordinates, (..., 3, 3)."""
         if self.coordinates == "invariant":
             return se2.additive_D_invariant(pose)
-        return np.broadcast_to(np.eye(3), (*np.shape(pose), 3))
+        return _ones_like(pose)
 
     def invariant_D_error(self, pose: Array) -> Array:
         """d delta / d error of a pose, in this map's coordinates, (..., 3, 3)."""
         if self.coordinates == "invariant":
-            return np.broadcast_to(np.eye(3), (*np.shape(pose), 3))
+            return _ones_like(pose)
         return se2.invariant_D_additive(pose)
 
     def error_D_tangent(self, pose: Array) -> Array:
@@ -98,6 +98,15 @@ class StochasticMap:
         blocks = P.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
         out = J[:, None] @ blocks @ J[None].transpose(0, 1, 3, 2)
         return symmetrise(out.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n))
+
+
+_ONE = np.eye(3)
+_ONE.flags.writeable = False
+
+
+def _ones_like(pose: Array) -> Array:
+    """An identity matrix for each pose (..., 3): (..., 3, 3), not to be written to."""
+    return _ONE if pose.ndim == 1 else np.broadcast_to(_ONE, (*pose.shape, 3))
 
 
 class Motion(NamedTuple):

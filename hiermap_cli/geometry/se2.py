@@ -183,6 +183,10 @@ def log(R_a_b: Array) -> Array:
 def adjoint(R_a_b: Array) -> Array:
     """`Ad(X)`, shape (..., 3, 3), with `X exp(tau) = exp(Ad(X) tau) X`."""
     R_a_b = np.asarray(R_a_b, dtype=float)
+    if R_a_b.ndim == 1:
+        x, y, theta = R_a_b.tolist()
+        c, s = math.cos(theta), math.sin(theta)
+        return np.array(((c, -s, y), (s, c, -x), (0.0, 0.0, 1.0)))
     Ad = np.zeros((*R_a_b.shape, 3))
     Ad[..., :2, :2] = rotation(R_a_b[..., 2])
     Ad[..., 0, 2] = R_a_b[..., 1]

@@ -132,8 +132,11 @@ class Trail:
 
 def invariant_covariance(V: StochasticMap) -> Array:
     """Covariance (3, 3) of the robot's invariant error."""
+    C = V.covariance[:3, :3]
+    if V.coordinates == "invariant":
+        return C.copy()
     T = V.invariant_D_error(V.robot)
-    return T @ V.covariance[:3, :3] @ T.T
+    return np.asarray(T @ C @ T.T)
 
 
 def _progress(increment: Array) -> Array:
