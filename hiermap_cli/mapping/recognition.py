@@ -164,9 +164,9 @@ class Recogniser:
             found = self._match(h, area, view, extent)
             if found is None:
                 self._before.pop(h, None)
-            elif young and self._as_predicted(found, here.V.robot):
-                answers.append(found)
-            elif found.walls >= c.least_walls and self._second(found, travelled, young, here):
+            elif (young and self._as_predicted(found, here.V.robot)) or (
+                found.walls >= c.least_walls and self._second(found, travelled, young, here)
+            ):
                 answers.append(found)
         return max(answers, key=lambda found: found.explained, default=None)
 
