@@ -19,7 +19,7 @@ from hiermap_cli.mapping.passages import (
     aligned,
     needed,
 )
-from hiermap_cli.mapping.places import Places
+from hiermap_cli.mapping.places import NEAR_BY, Places
 from hiermap_cli.mapping.portals import (
     KnownDoors,
     Portal,
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 NOWHERE = np.zeros(2)
-NEAR_BY = 4.0  # metres from where it was in an area within which it may know the place again
 LATELY = 8.0  # metres of path that are still the same visit
 
 

@@ -65,27 +65,21 @@ class FreeGrid:
         """A scan: beams from `origin` (2,) to `ends` (n, 2) in the area's frame."""
         if not len(ends):
             return
-        d = ends - origin
-        length = np.hypot(d[:, 0], d[:, 1])
-        samples = np.maximum(((length - SHORT) / STEP).astype(np.int64), 0)
-        total = int(samples.sum())
-        which = np.repeat(np.arange(len(ends)), samples)
-        k = np.arange(total) - np.repeat(np.cumsum(samples) - samples, samples)
-        t = (k + 0.5) * STEP / length[which]
-        free = np.floor((origin + t[:, None] * d[which]) / CELL).astype(np.int64)
-        hit = np.floor(ends / CELL).astype(np.int64)
-        low = np.minimum(hit.min(axis=0), np.floor(origin / CELL).astype(np.int64))
-        high = np.maximum(hit.max(axis=0), np.floor(origin / CELL).astype(np.int64))
+        start, stop = origin / CELL, ends / CELL
+        low = np.floor(np.minimum(stop.min(axis=0), start)).astype(np.int64)
+        high = np.floor(np.maximum(stop.max(axis=0), start)).astype(np.int64)
         self._grow(low, high)
-        self.passed = self._counted(self.passed, free)
-        self.ended = self._counted(self.ended, hit)
+        start, stop = start - self.first, stop - self.first
+        d = stop - start
+        length = np.hypot(d[:, 0], d[:, 1])
+        samples = np.maximum((length * CELL - SHORT) / STEP, 0.0).astype(np.int64)
+        before = np.cumsum(samples) - samples
+        k = np.arange(int(samples.sum())) - np.repeat(before, samples)
+        t = (k + 0.5) * np.repeat(STEP / CELL / np.maximum(length, 1e-9), samples)
+        free = (start + t[:, None] * np.repeat(d, samples, axis=0)).astype(np.int64)
+        self.passed = _counted(self.passed, free)
+        self.ended = _counted(self.ended, stop.astype(np.int64))
         self.scans += 1
-
-    def _counted(self, counts: NDArray[np.uint8], cells: Index) -> NDArray[np.uint8]:
-        """The counts with one more for each of these cells, however often it is named."""
-        once = np.zeros(counts.size, dtype=bool)
-        once[(cells[:, 0] - self.first[0]) * counts.shape[1] + cells[:, 1] - self.first[1]] = True
-        return counts + (once.reshape(counts.shape) & (counts < ENOUGH)).astype(np.uint8)
 
     def _grow(self, low: Index, high: Index) -> None:
         shape = self.passed.shape
@@ -140,26 +134,31 @@ class FreeGrid:
             setattr(out, name, np.minimum(counts, ENOUGH).astype(np.uint8))
         return out
 
-    def region(self, path: Array, barriers: Iterable[Array], width: float) -> Region:
+    def region(
+        self, path: Array, barriers: Iterable[Array], width: float, reach: float | None = None
+    ) -> Region:
         """What of the free cells hangs together with the path (k, 2), not across a barrier.
 
         barriers: segments (2, 2); where they part the path, its larger part counts. Where the
         free space is narrower than `width` metres it ends, unless the path goes on there: so
-        what is seen through a door that the robot did not use stays outside.
+        what is seen through a door that the robot did not use stays outside. Nothing is told
+        of what lies farther than `reach` metres outside the path's bounds.
         """
         from scipy import ndimage
 
+        if not len(path) or not self.passed.size:
+            return Region(np.zeros((0, 0), dtype=bool), self.first)
+        if reach is not None:
+            return self._about(path, reach).region(path, barriers, width)
         free = self.free()
         at = self._cells(path)
-        if not free.any() or not len(at):
-            return Region(np.zeros_like(free), self.first)
         for segment in barriers:
             cells = self._cells(_along(segment))
             for i, j in ((0, 0), (1, 0), (0, 1)):  # so thick that no diagonal leads through
                 x = np.minimum(cells[:, 0] + i, free.shape[0] - 1)
                 free[x, np.minimum(cells[:, 1] + j, free.shape[1] - 1)] = False
         radius = 0.5 * width / CELL
-        wide = ndimage.distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] > radius
+        wide = ~_grown(~free, radius)
         way = np.zeros_like(free)
         way[at[:, 0], at[:, 1]] = True
         labels, _ = ndimage.label(wide | (way & free), np.ones((3, 3)))
@@ -168,14 +167,38 @@ class FreeGrid:
         if not visits.any():
             return Region(np.zeros_like(free), self.first)
         core = labels == int(np.argmax(visits))
-        near = free & (ndimage.distance_transform_edt(~core) <= radius + 0.5)
+        near = free & _grown(core, radius + 0.5)
         labels, _ = ndimage.label(near)  # again not across a barrier
         mine = np.unique(labels[core & near])
         return Region(np.isin(labels, mine[mine > 0]), self.first)
 
+    def _about(self, path: Array, reach: float) -> FreeGrid:
+        """The part of the grid that lies within `reach` metres of the bounds of a path."""
+        low = np.floor((path.min(axis=0) - reach) / CELL).astype(int) - self.first
+        high = np.ceil((path.max(axis=0) + reach) / CELL).astype(int) - self.first
+        (i, j), (k, m) = np.maximum(low, 0).tolist(), high.tolist()
+        first = (self.first[0] + i, self.first[1] + j)
+        return FreeGrid(self.passed[i:k, j:m], self.ended[i:k, j:m], first, self.scans)
+
     def _cells(self, points: Array) -> Index:
         cells = np.floor(points / CELL).astype(np.int64) - self.first
         return cells[((cells >= 0) & (cells < self.passed.shape)).all(axis=1)]
+
+
+def _counted(counts: NDArray[np.uint8], cells: Index) -> NDArray[np.uint8]:
+    """The counts with one more for each of these cells, however often it is named."""
+    flat = counts.reshape(-1)
+    at = cells[:, 0] * counts.shape[1] + cells[:, 1]
+    now = flat[at]
+    flat[at] = now + (now < ENOUGH)  # of a cell named twice the same is written twice
+    return flat.reshape(counts.shape)
+
+
+def _grown(mask: Mask, radius: float) -> Mask:
+    """The cells within `radius` cells of those of a mask."""
+    from scipy import ndimage
+
+    return np.asarray(ndimage.distance_transform_edt(~mask) <= radius)
 
 
 def _along(segment: Array) -> Array:

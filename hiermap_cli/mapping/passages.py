@@ -10,6 +10,7 @@ passes; beside furniture the beams go on.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -30,12 +31,14 @@ NEAR = 3.0  # metres: ends nearer than this to the laser tell the width of the p
 KEPT = 5.0  # metres of path that are remembered
 MOST = 150  # scans that are remembered
 APART, APART_ANGLE = 0.08, 0.1  # metres or radians between scans that are remembered
-NEAR_APART = 0.15  # metres or (half of it) radians between scans whose ends tell the width
+NEAR_APART = 0.3  # metres and radians, together, between scans whose ends tell the width
 SAMPLE = 0.12  # metres of path between the points at which its width is taken
 LAG = 0.3  # metres of path beyond a point before its width is taken
 WIDEST = 1.6  # metres from a point of the path in which a jamb is looked for
 SECTORS = 48
 OPPOSITE = 2  # sectors by which the two jambs may miss opposite directions
+# The sectors that lie across from each.
+ACROSS = (np.arange(SECTORS)[:, None] + np.arange(-OPPOSITE, OPPOSITE + 1) + SECTORS // 2) % SECTORS
 # Metres across the line and radians by which a frame is moved to lie along walls, in two rounds.
 COARSE = tuple((0.0, 0.2 * k) for k in (0, 1, -1, 2, -2, 3, -3))
 FINE = tuple((offset, 0.1 * k) for offset in (0.0, 0.1, -0.1) for k in (0, 1, -1))
@@ -116,7 +119,7 @@ class Trace:
 
     def _near(self, origin: Array, ends: Array, turned: float) -> Array:
         """Ends near enough to tell the width of the path, of a scan that has some new to tell."""
-        moved = self.length - self._told[0] + 2.0 * abs(turned - self._told[1])
+        moved = self.length - self._told[0] + abs(turned - self._told[1])
         if moved < NEAR_APART:
             return ends[:0]
         self._told = (self.length, turned)
@@ -126,7 +129,7 @@ class Trace:
     def older(self, behind: float) -> list[int]:
         """Scans taken more than `behind` metres of path ago; each is told once."""
         first = len(self.poses) - self.fresh
-        last = int(np.searchsorted(self.travelled, self.length - behind))
+        last = bisect_left(self.travelled, self.length - behind)
         if last <= first:
             return []
         self.fresh = len(self.poses) - last
@@ -172,20 +175,23 @@ class PassageDetector:
 
     def passed(self, trace: Trace) -> Passage | None:
         """The next narrow place that now lies behind the robot, if there is one."""
+        taken = False
         while self._next <= trace.length - LAG:
             self._take(trace, self._next)
             self._next += SAMPLE
-        return self._narrowest(trace)
+            taken = True
+        return self._narrowest(trace) if taken else None
 
     def _take(self, trace: Trace, s: float) -> None:
-        i = int(np.clip(np.searchsorted(trace.travelled, s), 1, max(len(trace.poses) - 1, 1)))
         if len(trace.poses) < 2:
             return
+        i = min(max(bisect_left(trace.travelled, s), 1), len(trace.poses) - 1)
         a, b = trace.poses[i - 1][:2], trace.poses[i][:2]
         span = trace.travelled[i] - trace.travelled[i - 1]
         f = (s - trace.travelled[i - 1]) / span if span > 0 else 1.0
         point = a + min(max(f, 0.0), 1.0) * (b - a)
-        width, jambs = narrowest_chord(point, np.concatenate(trace.near))
+        recent = bisect_left(trace.travelled, s - NEAR)
+        width, jambs = narrowest_chord(point, np.concatenate(trace.near[recent:]))
         self.at.append(s)
         self.width.append(width)
         self.jambs.append(jambs)
@@ -197,6 +203,8 @@ class PassageDetector:
     def _narrowest(self, trace: Trace) -> Passage | None:
         c = self.config
         if len(self.at) < 8:
+            return None
+        if min(self.width) > c.max_width:
             return None
         at, width = np.asarray(self.at), np.asarray(self.width)
         s = at[-1]
@@ -255,21 +263,20 @@ def narrowest_chord(point: Array, ends: Array) -> tuple[float, Array]:
     near = np.flatnonzero(r2 < WIDEST * WIDEST)
     near = near[np.argsort(-r2[near], kind="stable")]
     d, r = d[near], np.sqrt(r2[near])
-    sector = ((np.arctan2(d[:, 1], d[:, 0]) / (2.0 * np.pi) + 0.5) * SECTORS).astype(np.int64)
+    sector = (np.arctan2(d[:, 1], d[:, 0]) * (SECTORS / (2.0 * np.pi)) + SECTORS).astype(np.int64)
     sector %= SECTORS
     nearest = np.full(SECTORS, WIDEST)
     nearest[sector] = r  # of one sector the nearest is written last
-    turns = np.arange(-OPPOSITE, OPPOSITE + 1) + SECTORS // 2
-    across = nearest[(np.arange(SECTORS)[:, None] + turns) % SECTORS]
+    across = nearest[ACROSS]
     chord = nearest + across.min(axis=1)
     i = int(np.argmin(chord))
-    j = int((i + turns[np.argmin(across[i])]) % SECTORS)
+    j = int(ACROSS[i, np.argmin(across[i])])
     jambs = np.empty((2, 2))
     for k, b in enumerate((i, j)):
         if nearest[b] < WIDEST:
             jambs[k] = point + d[np.flatnonzero(sector == b)[-1]]
         else:
-            angle = 2.0 * np.pi * ((b + 0.5) / SECTORS - 0.5)
+            angle = 2.0 * np.pi * (b + 0.5) / SECTORS
             jambs[k] = point + WIDEST * np.array([np.cos(angle), np.sin(angle)])
     return float(chord[i]), jambs
 

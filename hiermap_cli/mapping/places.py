@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,8 +25,17 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 APART, APART_ANGLE = 0.3, 0.4  # metres or radians between scans that are looked at
-BESIDE = 0.3  # metres beyond a door's jambs that are barred too
+BESIDE = 0.5  # metres beyond a door's jambs that are barred too
+NEAR_BY = 4.0  # metres from where it was in an area within which it may know the place again
 GROUND = 1.0  # metres: cells by which it is told where the robot was
+
+
+@cache
+def _disc(radius: int) -> tuple[tuple[int, int], ...]:
+    """Cells within a radius of one, the nearest first."""
+    steps = range(-radius, radius + 1)
+    inside = [(i, j) for i in steps for j in steps if i * i + j * j <= radius * radius]
+    return tuple(sorted(inside, key=lambda c: (c[0] ** 2 + c[1] ** 2, c)))
 
 
 @dataclass(slots=True)
@@ -90,13 +101,9 @@ class Places:
         ground = self.ground.get(area)
         if not ground:
             return False
-        x, y = np.floor(np.asarray(point) / GROUND).astype(int).tolist()
-        n = round(radius / GROUND)
+        x, y = math.floor(point[0] / GROUND), math.floor(point[1] / GROUND)
         return any(
-            ground.get((x + i, y + j), np.inf) < before
-            for i in range(-n, n + 1)
-            for j in range(-n, n + 1)
-            if i * i + j * j <= n * n
+            ground.get((x + i, y + j), math.inf) < before for i, j in _disc(round(radius / GROUND))
         )
 
     def region(self, area: int, map_: AreaMap, portals: Sequence[Portal]) -> Region:
@@ -111,7 +118,7 @@ class Places:
         known = self._regions.get(area)
         if known is not None and known[:2] == (grid.scans, len(doors)):
             return known[2]
-        region = grid.region(self.path(area), doors, self.widest_door)
+        region = grid.region(self.path(area), doors, self.widest_door, NEAR_BY)
         self._regions[area] = (grid.scans, len(doors), region)
         return region
 
