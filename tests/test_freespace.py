@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hiermap_cli.config import AreaConfig
+from hiermap_cli.mapping.extents import area_kind
 from hiermap_cli.mapping.freespace import (
     CELL,
     FreeGrid,
@@ -17,7 +18,6 @@ from hiermap_cli.mapping.freespace import (
     outline,
     simplified,
 )
-from hiermap_cli.mapping.rooms import area_kind
 
 
 def ends_in_box(origin, low=(0.0, 0.0), high=(6.0, 4.0), beams=360):

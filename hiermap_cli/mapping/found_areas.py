@@ -11,9 +11,9 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import AreaMap
 from hiermap_cli.mapping.doors import door_drafts, door_sides, passages
 from hiermap_cli.mapping.duplicates import Placed, duplicates, place_draft
+from hiermap_cli.mapping.extents import Extent, extents
 from hiermap_cli.mapping.joining import JoinedArea, join
 from hiermap_cli.mapping.landmarks import Draft, find_landmarks, joint_covariance
-from hiermap_cli.mapping.rooms import Extent, Rooms, extent
 from hiermap_cli.mapping.walls import at_vertices, wall_lines
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from hiermap_cli.config import LandmarkConfig
     from hiermap_cli.mapping.levels import Levels
     from hiermap_cli.mapping.mapper import Mapper
+    from hiermap_cli.mapping.rooms import Rooms
 
     Array = NDArray[np.float64]
 
@@ -96,24 +97,26 @@ def _all_drafts(mapper: Mapper, levels: Levels, rooms: Rooms) -> list[AreaDrafts
     last_seen = {area: k for k, area in enumerate(mapper.trail.area)}
     last_seen[mapper.current] = len(mapper.trail.area)
     config = mapper.config.landmarks
+    joined = [
+        join(maps, rooms.portals, members, max(members, key=lambda p: last_seen.get(p, -1)))
+        for members in rooms.parts
+    ]
+    where = extents(
+        rooms,
+        [se2.compose(a.R_0_p, se2.invert(levels.shifts[list(a.parts)])) for a in joined],
+        levels.frames[[area.parts[0] for area in joined]],
+        mapper.areas,
+        mapper.crossings.places,
+        mapper.config.areas,
+    )
     every = []
-    for members in rooms.parts:
-        last = max(members, key=lambda p: last_seen.get(p, -1))
-        area = join(maps, rooms.portals, members, last)
+    for area, extent in zip(joined, where, strict=True):
         sides = door_sides(area, rooms.portals)
         walls = wall_lines(area.map.V, area.map.features, config, passages(area, sides))
         walls = at_vertices(walls, config)
         choice = find_landmarks(walls, config)
         drafts, doors = door_drafts(area, walls, sides, choice.kept, config)
-        where = extent(
-            members,
-            se2.compose(area.R_0_p, se2.invert(levels.shifts[list(members)])),
-            rooms,
-            mapper.areas,
-            mapper.crossings.places,
-            mapper.config.areas,
-        )
-        every.append(AreaDrafts(area, where, drafts, doors, choice.dropped))
+        every.append(AreaDrafts(area, extent, drafts, doors, choice.dropped))
     return every
 
 

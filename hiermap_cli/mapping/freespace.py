@@ -43,6 +43,14 @@ class Region(NamedTuple):
         w, h = self.mask.shape
         return 0 <= i < w and 0 <= j < h and bool(self.mask[i, j])
 
+    def inside(self, points: Array) -> Mask:
+        """Which of the points (n, 2) lie in it."""
+        cells = np.floor(points / CELL).astype(np.int64) - self.first
+        within = ((cells >= 0) & (cells < self.mask.shape)).all(axis=1)
+        found = np.zeros(len(points), dtype=bool)
+        found[within] = self.mask[cells[within, 0], cells[within, 1]]
+        return found
+
     def area(self) -> float:
         """Square metres."""
         return float(self.mask.sum()) * CELL**2

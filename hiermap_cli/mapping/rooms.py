@@ -10,14 +10,12 @@ twice, in two areas that proved to be one, are one door.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.freespace import FreeGrid, closed, half_width, outline
 from hiermap_cli.mapping.passages import needed
-from hiermap_cli.mapping.places import door_barriers
 from hiermap_cli.mapping.portals import door_frame
 
 if TYPE_CHECKING:
@@ -27,13 +25,10 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import AreaConfig, DoorConfig
     from hiermap_cli.mapping.area_map import AreaMap
-    from hiermap_cli.mapping.freespace import Region
     from hiermap_cli.mapping.places import Places
     from hiermap_cli.mapping.portals import Portal
 
     Array = NDArray[np.float64]
-
-AreaKind = Literal["room", "corridor", "unknown"]
 
 SAME_DOOR = 0.7  # metres between two sightings of one door
 SAME_HEADING = 0.7  # radians (of the line, not of the direction) between them
@@ -165,46 +160,3 @@ class _Case:
         names = sorted(set(self.group))
         parts = tuple(tuple(i for i, g in enumerate(self.group) if g == name) for name in names)
         return Rooms(parts, tuple(final), tuple(door), tuple(self.refused))
-
-
-class Extent(NamedTuple):
-    """Where an area is: polygon (m, 2) of the free space seen in it, and what it is by shape."""
-
-    polygon: Array
-    kind: AreaKind
-
-
-def extent(
-    parts: Sequence[int],
-    R_0_p: Array,
-    rooms: Rooms,
-    areas: Sequence[AreaMap],
-    places: Places,
-    config: AreaConfig,
-) -> Extent:
-    """The free space of an area of several parts, within its doors.
-
-    R_0_p: (k, 3) the parts' frames, in which the filter ran, in the area's frame.
-    """
-    grid, path, barriers = FreeGrid(), [], []
-    for part, R in zip(parts, R_0_p, strict=True):
-        if part in places.grids:
-            grid = grid.joined(places.grids[part].moved(R))
-        path.append(_moved(R, places.path(part)))
-        barriers += [_moved(R, b) for b in door_barriers(part, areas[part], rooms.portals)]
-    region = closed(grid.region(np.concatenate(path), barriers, config.opening), config.furniture)
-    return Extent(outline(region, config.outline), area_kind(region, config))
-
-
-def area_kind(region: Region, config: AreaConfig) -> AreaKind:
-    """A corridor is narrow everywhere, and long; a room is not; too small an area is unknown."""
-    if region.area() < config.min_area:
-        return "unknown"
-    width = 2.0 * half_width(region)
-    long = region.area() > config.corridor_length * width**2
-    return "corridor" if long and width < config.corridor_width else "room"
-
-
-def _moved(R: Array, points: Array) -> Array:
-    moved: Array = se2.compose(R, np.column_stack((points, np.zeros(len(points)))))[:, :2]
-    return moved
