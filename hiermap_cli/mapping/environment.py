@@ -90,8 +90,22 @@ def compose_environment(
     if loops:
         anchors, root, P = _close(anchors, root, P, tree, loops, offsets)
     frames, M = _place(anchors, root, tree, offsets)
-    J = np.vstack((M, np.eye(len(P))[3:]))
-    return Environment(frames, tuple(anchors), symmetrise(J @ P @ J.T))
+    return Environment(frames, tuple(anchors), _joint(M, P))
+
+
+def _joint(M: Array, P: Array) -> Array:
+    """The covariance of the frames, `M e`, and of the anchors, e less the root's error.
+
+    Written block by block: for hundreds of areas each of these matrices is large.
+    """
+    MP = M @ P
+    k = len(M)
+    out = np.empty((k + len(P) - 3, k + len(P) - 3))
+    out[:k, :k] = symmetrise(MP @ M.T)
+    out[:k, k:] = MP[:, 3:]
+    out[k:, :k] = MP[:, 3:].T
+    out[k:, k:] = P[3:, 3:]
+    return out
 
 
 def _tree(areas: int, links: Sequence[Link]) -> tuple[list[Link], list[Link]]:

@@ -181,13 +181,14 @@ def _trajectory(environment: Environment, trail: Trail) -> Trajectory:
     leaving it out errs to the safe side.
     """
     area = np.array(trail.area, dtype=np.int64)
-    F, X = environment.frames[area], np.array(trail.poses).reshape(-1, 3)
-    C_F = np.array([environment.frame_covariance(i) for i in range(len(environment.frames))])
-    poses = se2.compose(F, X)
-    Ad = se2.adjoint(F)
-    C = C_F[area] + Ad @ np.array(trail.covariances).reshape(-1, 3, 3) @ Ad.transpose(0, 2, 1)
-    J = se2.additive_D_invariant(poses)
-    C = J @ C @ J.transpose(0, 2, 1)
-    return Trajectory(
-        np.array(trail.stamps_ns, dtype=np.int64), poses, 0.5 * (C + C.transpose(0, 2, 1))
-    )
+    poses, C = np.array(trail.poses), np.array(trail.covariances)
+    for i, F in enumerate(environment.frames):
+        # Area by area: what is needed in between is small beside the trajectory.
+        here = np.flatnonzero(area == i)
+        poses[here] = se2.compose(F, poses[here])
+        J = se2.additive_D_invariant(poses[here])
+        Ad = se2.adjoint(F)
+        C_here = J @ (environment.frame_covariance(i) + Ad @ C[here] @ Ad.T)
+        C_here = C_here @ J.transpose(0, 2, 1)
+        C[here] = 0.5 * (C_here + C_here.transpose(0, 2, 1))
+    return Trajectory(np.array(trail.stamps_ns, dtype=np.int64), poses, C)
