@@ -260,6 +260,9 @@ class Config(Section):
     doors: DoorConfig = DoorConfig()
     areas: AreaConfig = AreaConfig()
     landmarks: LandmarkConfig = LandmarkConfig()
+    start_pose: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="x, y, theta of the robot at the first scan, in g"
+    )
     update: Literal["relocation_fusion", "ekf"] = Field(
         "relocation_fusion", description="how a constraint is added (section 3.3)"
     )

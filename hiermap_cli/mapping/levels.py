@@ -58,9 +58,10 @@ class Levels(NamedTuple):
 def compose_levels(mapper: Mapper) -> Levels:
     """Composes a mapper's areas. The mapper's trail must be finished."""
     areas = mapper.areas
+    start = np.array(mapper.config.start_pose)
     anchors, index = _anchors(areas)
     links = [Link(p.a, index[p.a][p.anchor_a], p.b, index[p.b][p.anchor_b]) for p in mapper.portals]
-    environment = compose_environment(anchors, links, np.zeros(3), np.zeros((3, 3)))
+    environment = compose_environment(anchors, links, start, np.zeros((3, 3)))
     shifts = _door_frames(len(areas), mapper.portals)
     maps = tuple(
         change_frame(_corrected(area, anchors[i], environment, i), shifts[i])
