@@ -16,6 +16,7 @@ from hiermap_cli.estimation.association import (
     chi_square,
     joint_compatibility,
     mahalanobis,
+    without_the_worst,
 )
 
 
@@ -200,3 +201,31 @@ def test_without_nodes_only_the_first_sight_is_left():
     assert joint_compatibility(fits, 0.99, max_nodes=0) == [0, 1]
     contradicts = fits._replace(innovation=np.array([[9.0], [-9.0]]))
     assert joint_compatibility(contradicts, 0.99, max_nodes=0) == []
+
+
+@pytest.mark.parametrize("spoilt", [(), (3,), (0, 4)])
+def test_the_pairs_that_spoil_a_set_are_left_out_and_no_others(spoilt):
+    rng = np.random.default_rng(11)
+    n = 6
+    S = random_covariance(rng, 2 * n, 0.5)
+    y = 0.5 * np.linalg.cholesky(S) @ rng.normal(size=2 * n)
+    for i in spoilt:
+        y[2 * i : 2 * i + 2] += 12.0 * np.sqrt(np.diagonal(S)[2 * i : 2 * i + 2])
+    all_six = Candidates(np.arange(n), np.arange(n), np.zeros(n), y.reshape(n, 2), S)
+    kept = without_the_worst(all_six, list(range(n)), 0.999, most=2)
+    if not spoilt:
+        # It is asked only of sets that do not hold: one pair always goes.
+        assert kept is not None
+        assert len(kept) == n - 1
+        return
+    assert kept == [i for i in range(n) if i not in spoilt]
+    at = np.ravel([[2 * i, 2 * i + 1] for i in kept])
+    assert mahalanobis(y[at], S[np.ix_(at, at)]) <= chi_square(0.999, len(at))
+
+
+def test_where_too_many_spoil_it_the_search_is_left_to_others():
+    n = 4
+    y = np.array([[30.0], [-30.0], [50.0], [-50.0]])
+    S = np.ones((n, n)) + 0.01 * np.eye(n)
+    torn = Candidates(np.arange(n), np.arange(n), np.zeros(n), y, S)
+    assert without_the_worst(torn, list(range(n)), 0.99, most=2) is None

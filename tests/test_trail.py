@@ -12,7 +12,7 @@ from hiermap_cli.config import OdometryConfig
 from hiermap_cli.estimation.motion import motion
 from hiermap_cli.estimation.stochastic_map import Motion, StochasticMap
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.trail import Trail, invariant_covariance
+from hiermap_cli.mapping.trail import Rows, Trail, invariant_covariance
 
 NO_FAULTS = np.zeros(4)
 ODOMETRY = OdometryConfig()
@@ -239,3 +239,19 @@ def test_the_recent_path_is_the_key_scans_of_this_area():
     assert everything is not None
     assert len(everything) == 6
     assert trail.recent(0, 1.0) is None
+
+
+def test_rows_are_a_list_of_arrays_in_one_block():
+    rows = Rows(2, 2)
+    given_ = [np.arange(4.0).reshape(2, 2) + i for i in range(5)]
+    for row in given_:
+        rows.append(row)
+    assert len(rows) == 5
+    assert np.array_equal(rows[1], given_[1])
+    assert np.array_equal(rows[-1], given_[-1])
+    assert np.array_equal(rows[1:3], given_[1:3])
+    taken = np.array(rows)
+    rows.append(given_[0])  # what was taken does not forbid it to grow
+    assert np.array_equal(taken, given_)
+    with pytest.raises(IndexError):
+        rows[6]
