@@ -116,8 +116,11 @@ class Places:
             return Region(np.zeros((0, 0), dtype=bool), (0, 0))
         doors = door_barriers(area, map_, portals)
         known = self._regions.get(area)
-        if known is not None and known[:2] == (grid.scans, len(doors)):
-            return known[2]
+        if known is not None:
+            scans, barriers, region = known
+            # A tenth more scans hardly move its bounds.
+            if barriers == len(doors) and scans <= grid.scans <= 1.1 * scans + 2.0:
+                return region
         region = grid.region(self.path(area), doors, self.widest_door, NEAR_BY)
         self._regions[area] = (grid.scans, len(doors), region)
         return region

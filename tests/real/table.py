@@ -63,7 +63,7 @@ def cells(figures: dict[str, Any]) -> dict[str, str]:
     own, judged = figures["own"], figures.get("map", {})
     landmarks = " ".join(f"{_short(kind)}{n}" for kind, n in figures["landmarks"].items())
     areas, doors = figures.get("areas_matched"), figures.get("doors_matched")
-    matched, used = own.get("scans_matched"), own.get("scans_processed")
+    matched, used = own.get("matches"), own.get("scans_processed")
     return {
         "log": figures["name"],
         "scans": str(figures["scans"]),
