@@ -208,6 +208,12 @@ class AreaConfig(Section):
     )
 
 
+class RefineConfig(Section):
+    """The whole log gone over again, when the filter is through with it."""
+
+    enabled: bool = Field(True, description="false: the filter alone (--no-refine)")
+
+
 class LandmarkConfig(Section):
     """Which groups of walls are landmarks (section 4), and which of them are kept."""
 
@@ -260,6 +266,7 @@ class Config(Section):
     doors: DoorConfig = DoorConfig()
     areas: AreaConfig = AreaConfig()
     landmarks: LandmarkConfig = LandmarkConfig()
+    refine: RefineConfig = RefineConfig()
     start_pose: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0), description="x, y, theta of the robot at the first scan, in g"
     )

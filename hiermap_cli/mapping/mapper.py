@@ -16,6 +16,7 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_filter import Step, forget_unseen, observe
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap
 from hiermap_cli.mapping.crossing import Crossings, Passing
+from hiermap_cli.mapping.keyscans import KeyScanRecord
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.relocation import relocate, robot_found, widened
 from hiermap_cli.mapping.trail import Trail
@@ -62,6 +63,7 @@ class Mapper:
     events: list[Event] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     trail: Trail = field(default_factory=Trail)
+    keyscans: KeyScanRecord = field(default_factory=KeyScanRecord)
     current: int = 0
     key: int = 0
     crossings: Crossings = field(init=False)
@@ -87,6 +89,7 @@ class Mapper:
     def _scan(self, stamp_ns: int, odometry: Array, view: SegmentView, sight: Sight) -> None:
         if self._odometry is None:
             self._begin(stamp_ns, odometry)
+            self._record(stamp_ns, np.zeros(3), view)
             self._observe(stamp_ns, view)
             self.trail.key(stamp_ns, self.current, self.area.V)
             return
@@ -103,17 +106,26 @@ class Mapper:
                 # Farther than is searched: it never was there, and the wheels still told where
                 # it was at the last scan.
                 told = self.trail.last_increment()
-                motion = self._motion(np.zeros(3) if told is None else told)
+                increment = np.zeros(3) if told is None else told
+                motion = self._motion(increment)
                 distance = float(np.hypot(motion.pose[0], motion.pose[1]))
             motion = odometry_model.distrusted(motion, self.config.odometry)
         self._set(replace(self.area, V=predict(self.area.V, motion)))
         self._odometry = odometry
+        self._record(stamp_ns, increment, view, trusted=not suspect)
         self._observe(stamp_ns, view, suspect=suspect)
         self.trail.key(stamp_ns, self.current, self.area.V, motion)
         area = self.crossings.step(Passing(stamp_ns, self.key - 1, distance, sight, view))
         if area != self.current:
             self.current = area
             self.trail.enter(area, self.area.V)
+
+    def _record(
+        self, stamp_ns: int, increment: Array, view: SegmentView, *, trusted: bool = True
+    ) -> None:
+        """Keep a key scan for the refinement, if there will be one."""
+        if self.config.refine.enabled:
+            self.keyscans.add(stamp_ns, self.current, increment, view, trusted=trusted)
 
     def finish(self) -> None:
         """The end of the log: scans that still wait for a key scan get their place.

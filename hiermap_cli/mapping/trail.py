@@ -33,6 +33,10 @@ class Rows:
         """One more row, of the shape."""
         self._values.extend(row.ravel().tolist())
 
+    def extend(self, rows: Array) -> None:
+        """More rows, (n, shape)."""
+        self._values.frombytes(np.ascontiguousarray(rows, dtype=float).tobytes())
+
     def __len__(self) -> int:
         return len(self._values) // self._size
 
@@ -46,6 +50,9 @@ class Rows:
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Array:
         # A view would forbid the block to grow.
         return np.array(self._values, dtype=dtype).reshape(-1, *self._shape)
+
+
+_STANDING = np.zeros(3)
 
 
 class Base(NamedTuple):
@@ -66,12 +73,16 @@ class Trail:
 
     Scans between two key scans are carried by odometry from the first and take their share of
     the correction at the second (`between` keeps them back until it comes).
+
+    key_at: where each key scan stands. increments: the odometry since the last key scan, zero
+    at a key scan.
     """
 
     stamps_ns: list[int] = field(default_factory=list)
     area: list[int] = field(default_factory=list)
     poses: Rows = field(default_factory=lambda: Rows(3))
     covariances: Rows = field(default_factory=lambda: Rows(3, 3))
+    increments: Rows = field(default_factory=lambda: Rows(3))
     key_at: list[int] = field(default_factory=list)
     _base: Base | None = None
     _waiting: list[tuple[int, Array]] = field(default_factory=list)
@@ -85,7 +96,7 @@ class Trail:
         if motion is not None:
             self._settle(base, motion)
         self.key_at.append(len(self.stamps_ns))
-        self._append(stamp_ns, area, base.pose, base.covariance)
+        self._append(stamp_ns, area, base.pose, base.covariance, _STANDING)
         self._base = base
 
     def enter(self, area: int, V: StochasticMap) -> None:
@@ -115,7 +126,7 @@ class Trail:
                 pose = se2.compose(base.pose, motion.pose)
                 Ad = se2.adjoint(pose)
                 C = base.covariance + Ad @ motion.covariance @ Ad.T
-                self._append(stamp, base.area, pose, C)
+                self._append(stamp, base.area, pose, C, increment)
             self._waiting = []
 
     def recent(self, area: int, distance: float) -> Array | None:
@@ -147,16 +158,17 @@ class Trail:
         poses = se2.compose(se2.exp(f[:, None] * rest), carried)
         Ad = se2.adjoint(key.pose)
         bridge = Ad @ motion.covariance @ Ad.T
-        for (stamp, _), pose, g in zip(self._waiting, poses, f.tolist(), strict=True):
+        for (stamp, increment), pose, g in zip(self._waiting, poses, f.tolist(), strict=True):
             C = (1.0 - g) * base.covariance + g * key.covariance + g * (1.0 - g) * bridge
-            self._append(stamp, base.area, pose, C)
+            self._append(stamp, base.area, pose, C, increment)
         self._waiting = []
 
-    def _append(self, stamp_ns: int, area: int, pose: Array, C: Array) -> None:
+    def _append(self, stamp_ns: int, area: int, pose: Array, C: Array, increment: Array) -> None:
         self.stamps_ns.append(stamp_ns)
         self.area.append(area)
         self.poses.append(pose)
         self.covariances.append(C)
+        self.increments.append(increment)
 
 
 def invariant_covariance(V: StochasticMap) -> Array:

@@ -1,0 +1,117 @@
+"""The key scans of a run, as the whole log is gone over again with them.
+
+What the filter used of the log, and nothing else: of every key scan its segments, and the
+odometry by which the robot came there. The memory is a kilobyte a key scan.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.mapping.trail import Rows
+
+if TYPE_CHECKING:
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.perception.views import SegmentView
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+# Columns of the table of segments.
+_CENTRE, _THETA, _VAR_THETA, _VAR_Y = slice(0, 2), 2, 3, 4
+_ENDS, _END_KIND, _END_SIGMA, _LENGTH = slice(5, 9), slice(9, 11), slice(11, 13), 13
+_COLUMNS = 14
+
+
+class ScanSegments(NamedTuple):
+    """The S segments of all key scans, by scan, each in the robot's frame at its scan.
+
+    scan: (S,) number of the key scan. The rest is as in `SegmentView`, with the sensor's noise
+    alone.
+    """
+
+    scan: Index
+    centre: Array
+    theta: Array
+    var_theta: Array
+    var_y: Array
+    ends: Array
+    end_kind: Index
+    end_sigma: Array
+    length: Array
+
+
+class KeyScans(NamedTuple):
+    """K key scans in the order of time.
+
+    stamps_ns: (K,). area: (K,) the filter's area in which each was used. increments: (K, 3) the
+    odometry since the key scan before, as the filter believed it (the first one's is zero).
+    trusted: (K,) False where that odometry has failed.
+    """
+
+    stamps_ns: Index
+    area: Index
+    increments: Array
+    trusted: NDArray[np.bool_]
+    segments: ScanSegments
+
+
+@dataclass(slots=True)
+class KeyScanRecord:
+    """Key scans as they come."""
+
+    _stamps: list[int] = field(default_factory=list)
+    _area: list[int] = field(default_factory=list)
+    _trusted: list[bool] = field(default_factory=list)
+    _count: list[int] = field(default_factory=list)
+    _increments: Rows = field(default_factory=lambda: Rows(3))
+    _segments: Rows = field(default_factory=lambda: Rows(_COLUMNS))
+
+    def add(
+        self, stamp_ns: int, area: int, increment: Array, view: SegmentView, *, trusted: bool
+    ) -> None:
+        """One more key scan."""
+        self._stamps.append(stamp_ns)
+        self._area.append(area)
+        self._trusted.append(trusted)
+        self._increments.append(increment)
+        n = len(view.length)
+        self._count.append(n)
+        if n:
+            table = np.empty((n, _COLUMNS))
+            table[:, _CENTRE], table[:, _THETA] = view.centre, view.theta
+            table[:, _VAR_THETA], table[:, _VAR_Y] = view.var_theta, view.var_y
+            table[:, _ENDS] = view.ends.reshape(n, 4)
+            table[:, _END_KIND], table[:, _END_SIGMA] = view.end_kind, view.end_sigma
+            table[:, _LENGTH] = view.length
+            self._segments.extend(table)
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def taken(self) -> KeyScans:
+        """All of them."""
+        table = np.asarray(self._segments)
+        segments = ScanSegments(
+            scan=np.repeat(np.arange(len(self)), self._count),
+            centre=table[:, _CENTRE],
+            theta=table[:, _THETA],
+            var_theta=table[:, _VAR_THETA],
+            var_y=table[:, _VAR_Y],
+            ends=table[:, _ENDS].reshape(-1, 2, 2),
+            end_kind=table[:, _END_KIND].astype(np.int64),
+            end_sigma=table[:, _END_SIGMA],
+            length=table[:, _LENGTH],
+        )
+        return KeyScans(
+            stamps_ns=np.array(self._stamps, dtype=np.int64),
+            area=np.array(self._area, dtype=np.int64),
+            increments=np.asarray(self._increments),
+            trusted=np.array(self._trusted, dtype=bool),
+            segments=segments,
+        )
