@@ -195,9 +195,18 @@ class LimitShape(Shape):
     """A limit on a metric; value null where it could not be measured, which never passes."""
 
     metric: Id
+    comparison: str = "<="
     limit: str | Finite
     value: Finite | None
     passed: bool
+    text: str = Field("", description="the limit as it was given")
+
+
+class UnmeasuredShape(Shape):
+    """A metric that could not be measured."""
+
+    name: Id
+    reason: str
 
 
 class EvalDocument(Shape):
@@ -206,8 +215,12 @@ class EvalDocument(Shape):
     format: Literal["hiermap-eval"]
     version: Version
     passed: bool
+    verdict: str = Field("", description="whether the covariances may be trusted, in a sentence")
     metrics: list[MetricShape]
     limits: list[LimitShape]
+    not_measured: list[UnmeasuredShape] = Field(
+        [], description="metrics that could not be measured, and why"
+    )
 
 
 # --- reference.json, summary.json, jobs ---------------------------------------------------------
