@@ -96,9 +96,29 @@ def parse_yaml(text: str, source: str, shape: type[M]) -> M:
     Raises:
         ConfigurationError: the text has faults; all of them are listed.
     """
+    return parse_with_lines(text, source, shape)[0]
+
+
+def read_with_lines(path: Path, shape: type[M]) -> tuple[M, dict[KeyPath, int]]:
+    """A YAML file as the model `shape`, and the line of every key and item, by its path.
+
+    For those who find faults that no shape can tell, and want to say where they are.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or has faults; all of them are listed.
+    """
+    return parse_with_lines(_read_text(Path(path)), str(path), shape)
+
+
+def parse_with_lines(text: str, source: str, shape: type[M]) -> tuple[M, dict[KeyPath, int]]:
+    """As `parse_yaml`, with the line of every key and item, by its path.
+
+    Raises:
+        ConfigurationError: the text has faults; all of them are listed.
+    """
     node = _compose(text, source)
     if node is None:
-        return parse_yaml("{}", source, shape)
+        return parse_with_lines("{}", source, shape)
     if not isinstance(node, yaml.MappingNode):
         line = node.start_mark.line + 1
         raise ConfigurationError(source, [f"line {line}: must hold keys with values, key: value"])
@@ -116,8 +136,13 @@ def parse_yaml(text: str, source: str, shape: type[M]) -> M:
             faults += faults_of(error, shape, builder.lines)
         else:
             if not faults:
-                return checked
-    raise ConfigurationError(source, [fault.text() for fault in sorted(faults, key=_by_line)])
+                return checked, builder.lines
+    raise ConfigurationError(source, fault_lines(faults))
+
+
+def fault_lines(faults: Iterable[Fault]) -> list[str]:
+    """The faults as text, in the order of the file."""
+    return [fault.text() for fault in sorted(faults, key=_by_line)]
 
 
 def _by_line(fault: Fault) -> tuple[int, str]:

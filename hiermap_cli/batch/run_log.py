@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -91,51 +91,78 @@ def run_log(
         UsageError: `output` exists and `force` is not given, or cannot be written.
         OutputError: the disk is full.
     """
-    from hiermap_cli.mapping.run import map_log
-
-    observer = observer or Observer()
-    clock = _Clock()
     check_output(output, force=force, inputs=paths)
-    recording = open_recording(paths, config.input)
-    total = expected_scans(recording) if observer.wants_total else None
-    observer.opened(recording.log, total)
-    for warning in recording.plan.warnings:
-        observer.warned(warning)
-    clock.lap("open")
-    watched = _Watched(observer)
-    result = map_log(watched.through(recording.blocks()), config)
-    timing = {**clock.laps, "read": watched.seconds, **result.timing}
-    clock.lap("map")
-    observer.entered("writing")
-    source = recording.report()
-    late = (*source.warnings[len(recording.plan.warnings) :], *_some(source.lost))
-    for warning in late:
-        observer.warned(warning)
-    metrics = _all_metrics(result, watched.odometry())
+    mapped = MappedLog(paths, config, observer)
     with output_folder(output, force=force, inputs=paths) as folder:
+        outcome = mapped.write(folder)
+    return replace(outcome, output=Path(output))
+
+
+class MappedLog:
+    """A log that was read and mapped, and is to be written."""
+
+    def __init__(
+        self, paths: Sequence[Path], config: Config, observer: Observer | None = None
+    ) -> None:
+        """Reads and maps the log.
+
+        Raises:
+            InputError: the log cannot be used.
+        """
+        from hiermap_cli.mapping.run import map_log
+
+        self._observer = observer = observer or Observer()
+        self._clock = clock = _Clock()
+        self._config = config
+        recording = open_recording(paths, config.input)
+        total = expected_scans(recording) if observer.wants_total else None
+        observer.opened(recording.log, total)
+        for warning in recording.plan.warnings:
+            observer.warned(warning)
+        clock.lap("open")
+        watched = _Watched(observer)
+        self._result = result = map_log(watched.through(recording.blocks()), config)
+        self._timing = {**clock.laps, "read": watched.seconds, **result.timing}
+        clock.lap("map")
+        observer.entered("writing")
+        self.source = source = recording.report()
+        late = (*source.warnings[len(recording.plan.warnings) :], *_some(source.lost))
+        for warning in late:
+            observer.warned(warning)
+        self._warnings = (*recording.plan.warnings, *late)
+        self._metrics = _all_metrics(result, watched.odometry())
+
+    def write(self, folder: Path) -> RunOutcome:
+        """Writes everything into `folder`, which exists and is empty.
+
+        Raises:
+            OSError: the files cannot be written.
+        """
+        result, source = self._result, self.source
         write_result(folder, result)
-        clock.lap("write")
-        timing |= {"write": clock.laps["write"], **clock.totals()}
+        self._clock.lap("write")
+        timing = self._timing | {"write": self._clock.laps["write"], **self._clock.totals()}
         dropped = dict(source.dropped)
         for reason, count in result.dropped.items():
             dropped[reason] = dropped.get(reason, 0) + count
         report = report_json(
             source={**asdict(source), "dropped": dropped},
-            config=config,
-            metrics=metrics,
+            config=self._config,
+            metrics=self._metrics,
             events=result.events,
             timing=timing,
+            consistency=result.consistency,
         )
         (folder / REPORT).write_bytes(report)
-    return RunOutcome(
-        output=Path(output),
-        log=source.log,
-        scans=source.scans,
-        metrics=metrics,
-        events=result.events,
-        timing=timing,
-        warnings=(*recording.plan.warnings, *late),
-    )
+        return RunOutcome(
+            output=folder,
+            log=source.log,
+            scans=source.scans,
+            metrics=self._metrics,
+            events=result.events,
+            timing=timing,
+            warnings=self._warnings,
+        )
 
 
 def _some(lost: tuple[str, ...]) -> tuple[str, ...]:

@@ -86,8 +86,11 @@ def output_folder(
     force: bool = False,
     marks: Sequence[str] = RESULT_MARKS,
     inputs: Sequence[Path] = (),
+    workshop: Path | None = None,
 ) -> Iterator[Path]:
     """A new, empty folder to write into, which becomes `folder` when the block ends well.
+
+    `workshop` is where it lies until then: a folder on the same disk, beside `folder` if None.
 
     Raises:
         UsageError: as `check_output`.
@@ -96,24 +99,26 @@ def output_folder(
     check_output(folder, force=force, marks=marks, inputs=inputs)
     folder = Path(os.path.realpath(folder))
     try:
-        temporary = _new_folder(folder)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        workshop = folder.parent if workshop is None else Path(os.path.realpath(workshop))
+        temporary = _new_folder(workshop, folder.name)
     except OSError as error:
         raise output_error(folder, error) from None
     try:
         yield temporary
         _flush(temporary)
-        _move_into_place(temporary, folder, force=force)
+        _move_into_place(temporary, folder, force=force, workshop=workshop)
     except OSError as error:
         raise output_error(folder, error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)  # gone already when all went well
 
 
-def _new_folder(folder: Path) -> Path:
-    """A new folder beside `folder`; `mkdir` and not `mkdtemp`, so that the umask decides."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
+def _new_folder(parent: Path, name: str) -> Path:
+    """A new, hidden folder; `mkdir` and not `mkdtemp`, so that the umask decides."""
+    parent.mkdir(parents=True, exist_ok=True)
     while True:
-        temporary = folder.parent / f".{folder.name[:200]}.{secrets.token_hex(4)}"
+        temporary = parent / f".{name[:200]}.{secrets.token_hex(4)}"
         try:
             temporary.mkdir()
         except FileExistsError:
@@ -121,14 +126,14 @@ def _new_folder(folder: Path) -> Path:
         return temporary
 
 
-def _move_into_place(temporary: Path, folder: Path, *, force: bool) -> None:
+def _move_into_place(temporary: Path, folder: Path, *, force: bool, workshop: Path) -> None:
     if not os.path.lexists(folder):
         temporary.rename(folder)
         _flush_folder(folder.parent)
         return
     if not force:  # it came into being while we worked
         raise UsageError(f"{folder}: exists already; --force replaces it")
-    aside = _new_folder(folder)
+    aside = _new_folder(workshop, folder.name)
     folder.rename(aside)  # an empty folder gives way to a renamed one
     try:
         temporary.rename(folder)
