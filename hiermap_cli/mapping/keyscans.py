@@ -14,7 +14,6 @@ import numpy as np
 from hiermap_cli.mapping.trail import Rows
 
 if TYPE_CHECKING:
-
     from numpy.typing import NDArray
 
     from hiermap_cli.perception.views import SegmentView
@@ -25,14 +24,15 @@ if TYPE_CHECKING:
 # Columns of the table of segments.
 _CENTRE, _THETA, _VAR_THETA, _VAR_Y = slice(0, 2), 2, 3, 4
 _ENDS, _END_KIND, _END_SIGMA, _LENGTH = slice(5, 9), slice(9, 11), slice(11, 13), 13
-_COLUMNS = 14
+_WALL = 14
+_COLUMNS = 15
 
 
 class ScanSegments(NamedTuple):
     """The S segments of all key scans, by scan, each in the robot's frame at its scan.
 
     scan: (S,) number of the key scan. The rest is as in `SegmentView`, with the sensor's noise
-    alone.
+    alone. wall: (S,) uid of the wall of the scan's area with which the filter matched it, or -1.
     """
 
     scan: Index
@@ -44,6 +44,7 @@ class ScanSegments(NamedTuple):
     end_kind: Index
     end_sigma: Array
     length: Array
+    wall: Index
 
 
 class KeyScans(NamedTuple):
@@ -73,9 +74,16 @@ class KeyScanRecord:
     _segments: Rows = field(default_factory=lambda: Rows(_COLUMNS))
 
     def add(
-        self, stamp_ns: int, area: int, increment: Array, view: SegmentView, *, trusted: bool
+        self,
+        stamp_ns: int,
+        area: int,
+        increment: Array,
+        view: SegmentView,
+        walls: Index,
+        *,
+        trusted: bool,
     ) -> None:
-        """One more key scan."""
+        """One more key scan, and with which walls (uids, -1 for none) it was matched."""
         self._stamps.append(stamp_ns)
         self._area.append(area)
         self._trusted.append(trusted)
@@ -88,7 +96,7 @@ class KeyScanRecord:
             table[:, _VAR_THETA], table[:, _VAR_Y] = view.var_theta, view.var_y
             table[:, _ENDS] = view.ends.reshape(n, 4)
             table[:, _END_KIND], table[:, _END_SIGMA] = view.end_kind, view.end_sigma
-            table[:, _LENGTH] = view.length
+            table[:, _LENGTH], table[:, _WALL] = view.length, walls
             self._segments.extend(table)
 
     def __len__(self) -> int:
@@ -107,6 +115,7 @@ class KeyScanRecord:
             end_kind=table[:, _END_KIND].astype(np.int64),
             end_sigma=table[:, _END_SIGMA],
             length=table[:, _LENGTH],
+            wall=table[:, _WALL].astype(np.int64),
         )
         return KeyScans(
             stamps_ns=np.array(self._stamps, dtype=np.int64),

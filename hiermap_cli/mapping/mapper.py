@@ -16,6 +16,7 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_filter import Step, forget_unseen, observe
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap
 from hiermap_cli.mapping.crossing import Crossings, Passing
+from hiermap_cli.mapping.innovations import InnovationLog
 from hiermap_cli.mapping.keyscans import KeyScanRecord
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.relocation import relocate, robot_found, widened
@@ -64,6 +65,7 @@ class Mapper:
     counts: Counts = field(default_factory=Counts)
     trail: Trail = field(default_factory=Trail)
     keyscans: KeyScanRecord = field(default_factory=KeyScanRecord)
+    innovations: InnovationLog = field(default_factory=InnovationLog)
     current: int = 0
     key: int = 0
     crossings: Crossings = field(init=False)
@@ -89,8 +91,8 @@ class Mapper:
     def _scan(self, stamp_ns: int, odometry: Array, view: SegmentView, sight: Sight) -> None:
         if self._odometry is None:
             self._begin(stamp_ns, odometry)
-            self._record(stamp_ns, np.zeros(3), view)
-            self._observe(stamp_ns, view)
+            step = self._observe(stamp_ns, view)
+            self._record(stamp_ns, np.zeros(3), view, step)
             self.trail.key(stamp_ns, self.current, self.area.V)
             return
         increment = se2.between(self._odometry, odometry)
@@ -112,8 +114,8 @@ class Mapper:
             motion = odometry_model.distrusted(motion, self.config.odometry)
         self._set(replace(self.area, V=predict(self.area.V, motion)))
         self._odometry = odometry
-        self._record(stamp_ns, increment, view, trusted=not suspect)
-        self._observe(stamp_ns, view, suspect=suspect)
+        step = self._observe(stamp_ns, view, suspect=suspect)
+        self._record(stamp_ns, increment, view, step, trusted=not suspect)
         self.trail.key(stamp_ns, self.current, self.area.V, motion)
         area = self.crossings.step(Passing(stamp_ns, self.key - 1, distance, sight, view))
         if area != self.current:
@@ -121,11 +123,19 @@ class Mapper:
             self.trail.enter(area, self.area.V)
 
     def _record(
-        self, stamp_ns: int, increment: Array, view: SegmentView, *, trusted: bool = True
+        self,
+        stamp_ns: int,
+        increment: Array,
+        view: SegmentView,
+        step: Step,
+        *,
+        trusted: bool = True,
     ) -> None:
         """Keep a key scan for the refinement, if there will be one."""
         if self.config.refine.enabled:
-            self.keyscans.add(stamp_ns, self.current, increment, view, trusted=trusted)
+            walls = np.full(len(view.length), -1)
+            walls[step.matches.segment] = step.area.features.uid[step.matches.wall]
+            self.keyscans.add(stamp_ns, self.current, increment, view, walls, trusted=trusted)
 
     def finish(self) -> None:
         """The end of the log: scans that still wait for a key scan get their place.
@@ -181,14 +191,18 @@ class Mapper:
         self._event(stamp_ns, "odometry_failed", area=self._name(), increment=increment.tolist())
         return True
 
-    def _observe(self, stamp_ns: int, view: SegmentView, *, suspect: bool = False) -> None:
+    def _observe(self, stamp_ns: int, view: SegmentView, *, suspect: bool = False) -> Step:
         view = with_noise(view, self.config.filter, self.noise.laser, self.noise.walls)
-        known = len(self.area.features.uid)
+        uid = self.area.features.uid
+        known = len(uid)
         step: Step = observe(self.area, view, self.key, self.config)
         if suspect or self._poor(view, step):
             step = self._found_again(stamp_ns, view, step, suspect=suspect)
-        elif step.surprise is not None:
-            self.noise = adapted(self.noise, step.surprise, self.noise_rate, self.config.noise)
+        else:
+            if step.surprise is not None:
+                self.noise = adapted(self.noise, step.surprise, self.noise_rate, self.config.noise)
+            if step.innovation is not None:
+                self.innovations.add(self.key, self.current, uid, step.matches, step.innovation)
         self._set(step.area)
         n = self.counts
         n.keys += 1
@@ -204,6 +218,7 @@ class Mapper:
             area, forgotten = forget_unseen(self.area, self.key, self.config.forget)
             n.forgotten += forgotten
             self._set(area)
+        return step
 
     def _found_again(self, stamp_ns: int, view: SegmentView, step: Step, *, suspect: bool) -> Step:
         """The step taken from where the scan itself says the robot is, if that explains more.
