@@ -1,0 +1,1 @@
+"""Refinement: the whole log again, as one sparse least-squares problem."""

@@ -1,0 +1,235 @@
+"""Sparse Cholesky by fronts: normal equations eliminated group by group, each a dense matrix.
+
+The variables of a building hang together as its rooms do: eliminating the poses of a stretch of
+the path leaves a dense matrix over the few landmarks seen there, a *piece*; eliminating a group
+of landmarks joins the pieces that hold any of it. This is the multifrontal method (Duff and Reid
+1983) with groups that are known beforehand. Its cost grows with the building, not with its
+square, and the same factor gives every marginal covariance.
+"""
+
+from __future__ import annotations
+
+import heapq
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+
+class Piece(NamedTuple):
+    """A term of the normal equations `H x = g` over the variables `index` (n,), sorted."""
+
+    index: Index
+    H: Array
+    g: Array
+
+
+class Front(NamedTuple):
+    """An eliminated group.
+
+    own: (n,) its variables. boundary: (m,) those that remain of the pieces joined, sorted. With
+    the Cholesky factor L of the own block: L_inverse (n, n), W = L^-1 F_ob (n, m), y = L^-1 g_o.
+    """
+
+    own: Index
+    boundary: Index
+    L_inverse: Array
+    W: Array
+    y: Array
+
+
+class Plan(NamedTuple):
+    """In which order groups are eliminated, and what is joined there.
+
+    own: the variables of each front. index: own and boundary, sorted. pieces: the numbers of the
+    pieces joined; piece `first + k` is what front k leaves. parent: the front that takes it in,
+    -1 for the last.
+    """
+
+    own: tuple[Index, ...]
+    index: tuple[Index, ...]
+    pieces: tuple[tuple[int, ...], ...]
+    parent: tuple[int, ...]
+
+
+def plan(pieces: Sequence[Index], groups: Sequence[Index], last: Sequence[int] = ()) -> Plan:
+    """A good order of elimination: always the group with the smallest front (minimum degree).
+
+    Args:
+        pieces: the variables of each piece, sorted.
+        groups: variables that are eliminated together; each in one group only.
+        last: groups to be eliminated after all others, in this order.
+    """
+    total = 1 + max((int(g.max()) for g in groups if len(g)), default=-1)
+    group_of = np.full(total, -1)
+    for k, g in enumerate(groups):
+        group_of[g] = k
+    size = [len(g) for g in groups]
+    inside = [set(np.unique(group_of[index]).tolist()) for index in pieces]
+    holding: list[set[int]] = [set() for _ in groups]
+    for p, members in enumerate(inside):
+        for k in members:
+            holding[k].add(p)
+
+    def front(k: int) -> set[int]:
+        return set().union(*(inside[p] for p in holding[k]))
+
+    def degree(k: int) -> int:
+        return sum(size[j] for j in front(k))
+
+    waiting = [(degree(k), k) for k in range(len(groups)) if k not in set(last)]
+    heapq.heapify(waiting)
+    own, index, joined, maker = [], [], [], {}
+    done: set[int] = set()
+
+    def take(k: int) -> None:
+        members = front(k)
+        members.add(k)
+        done.add(k)
+        new = len(inside)
+        maker[new] = len(own)
+        own.append(groups[k])
+        index.append(np.sort(np.concatenate([groups[j] for j in members])))
+        joined.append(tuple(sorted(holding[k])))
+        used = set(holding[k])
+        members.discard(k)
+        inside.append(members)
+        for j in members:
+            holding[j] -= used
+            holding[j].add(new)
+
+    while waiting:
+        d, k = heapq.heappop(waiting)
+        if k in done:
+            continue
+        now = degree(k)
+        if now > d and waiting and now > waiting[0][0]:
+            heapq.heappush(waiting, (now, k))
+            continue
+        take(k)
+    for k in last:
+        take(k)
+    parent = [-1] * len(own)
+    for f, numbers in enumerate(joined):
+        for p in numbers:
+            if p in maker:
+                parent[maker[p]] = f
+    return Plan(tuple(own), tuple(index), tuple(joined), tuple(parent))
+
+
+class Factor(NamedTuple):
+    """All fronts in the order of elimination, and the plan that made them."""
+
+    fronts: tuple[Front, ...]
+    plan: Plan
+    variables: int
+
+    def solve(self) -> Array:
+        """X of `H x = g`, by back substitution."""
+        x = np.zeros(self.variables)
+        for front in reversed(self.fronts):
+            x[front.own] = front.L_inverse.T @ (front.y - front.W @ x[front.boundary])
+        return x
+
+    def marginals(self) -> list[Array]:
+        """The joint covariance of each front's variables, (n, n) in the order of `plan.index`.
+
+        Given that of its boundary, which is part of its parent's: Takahashi's recursion, by
+        blocks.
+        """
+        found: list[Array] = [np.zeros((0, 0))] * len(self.fronts)
+        for k in range(len(self.fronts) - 1, -1, -1):
+            front, index = self.fronts[k], self.plan.index[k]
+            at_own, at_boundary = np.searchsorted(index, front.own), None
+            G = front.L_inverse.T @ front.W
+            S = np.empty((len(index), len(index)))
+            if len(front.boundary):
+                parent = self.plan.parent[k]
+                inside = np.searchsorted(self.plan.index[parent], front.boundary)
+                P = found[parent][np.ix_(inside, inside)]
+                at_boundary = np.searchsorted(index, front.boundary)
+                GP = G @ P
+                S[np.ix_(at_boundary, at_boundary)] = P
+                S[np.ix_(at_own, at_boundary)] = -GP
+                S[np.ix_(at_boundary, at_own)] = -GP.T
+                S[np.ix_(at_own, at_own)] = front.L_inverse.T @ front.L_inverse + GP @ G.T
+            else:
+                S[np.ix_(at_own, at_own)] = front.L_inverse.T @ front.L_inverse
+            found[k] = S
+        return found
+
+    def covariance(self, J: Array, index: Index) -> Array:
+        """`J C J^T` of a linear function J (r, n) of the variables `index` (n,)."""
+        home = np.empty(self.variables, dtype=np.int64)
+        for k, front in enumerate(self.fronts):
+            home[front.own] = k
+        columns: dict[int, Array] = {}
+
+        def add(where: Index, rows: Array) -> None:
+            fronts = home[where]
+            for k in np.unique(fronts).tolist():
+                here = fronts == k
+                own = self.fronts[k].own
+                if k not in columns:
+                    columns[k] = np.zeros((len(own), len(J)))
+                np.add.at(columns[k], np.searchsorted(own, where[here]), rows[here])
+
+        add(index, J.T)
+        C = np.zeros((len(J), len(J)))
+        waiting = list(columns)
+        heapq.heapify(waiting)
+        seen: set[int] = set()
+        while waiting:
+            k = heapq.heappop(waiting)
+            if k in seen:
+                continue
+            seen.add(k)
+            front = self.fronts[k]
+            y = front.L_inverse @ columns.pop(k)
+            C += y.T @ y
+            if len(front.boundary):
+                before = set(columns)
+                add(front.boundary, -front.W.T @ y)
+                for j in set(columns) - before:
+                    heapq.heappush(waiting, j)
+        return C
+
+
+def factorise(pieces: Sequence[Piece], order: Plan, variables: int) -> Factor:
+    """Eliminates all groups of a plan that was made for pieces with these variables.
+
+    Raises:
+        numpy.linalg.LinAlgError: the problem does not determine all variables.
+    """
+    waiting: dict[int, Piece] = dict(enumerate(pieces))
+    made = len(pieces)
+    fronts = []
+    for own, index, numbers in zip(order.own, order.index, order.pieces, strict=True):
+        n = len(index)
+        F, g = np.zeros((n, n)), np.zeros(n)
+        for p in numbers:
+            piece = waiting.pop(p)
+            at = np.searchsorted(index, piece.index)
+            F[at[:, None], at] += piece.H
+            g[at] += piece.g
+        at_own = np.searchsorted(index, own)
+        rest = np.ones(n, dtype=bool)
+        rest[at_own] = False
+        at_boundary = np.flatnonzero(rest)
+        L_inverse = np.linalg.inv(np.linalg.cholesky(F[at_own[:, None], at_own]))
+        W = L_inverse @ F[at_own[:, None], at_boundary]
+        y = L_inverse @ g[at_own]
+        boundary = index[at_boundary]
+        fronts.append(Front(own, boundary, L_inverse, W, y))
+        waiting[made] = Piece(
+            boundary, F[at_boundary[:, None], at_boundary] - W.T @ W, g[at_boundary] - W.T @ y
+        )
+        made += 1
+    return Factor(tuple(fronts), order, variables)
