@@ -28,6 +28,7 @@ def report_json(
     metrics: Sequence[Metric],
     events: Sequence[Event],
     timing: Mapping[str, float],
+    consistency: Mapping[str, Any] | None = None,
 ) -> bytes:
     """The report as JSON text.
 
@@ -37,6 +38,7 @@ def report_json(
         metrics: in the order wanted.
         events: in the order of time.
         timing: seconds by stage.
+        consistency: what the innovations say of the covariances, `MapResult.consistency`.
 
     Raises:
         UnsoundValueError: a number is not finite, or a value has no JSON form.
@@ -68,6 +70,7 @@ def report_json(
             }
             for event in events
         ],
+        "consistency": plain(dict(consistency or {}), "consistency"),
         "timing": {stage: plain(seconds, f"timing {stage}") for stage, seconds in timing.items()},
     }
     return pydantic_core.to_json(document, indent=1) + b"\n"

@@ -21,6 +21,7 @@ from hiermap_cli.mapping.area_map import (
     innovations,
     seen_frames,
 )
+from hiermap_cli.mapping.innovations import Innovation
 from hiermap_cli.mapping.matching import associate
 from hiermap_cli.perception.segments import END_OPEN
 
@@ -39,7 +40,7 @@ class Step(NamedTuple):
     """The area after a scan, and what was matched.
 
     nis: the normalised innovation squared of `degrees` rows. surprise: how it speaks of the
-    noise, None where it says too little.
+    noise, None where it says too little. innovation: the rows of the update, None without any.
     """
 
     area: AreaMap
@@ -48,13 +49,14 @@ class Step(NamedTuple):
     nis: float
     degrees: int
     surprise: Surprise | None
+    innovation: Innovation | None = None
 
 
 def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     """Correct the area with one scan, then let new walls and ends in."""
     found = associate(area, view, config.association, config.filter)
     matches, constraint = found.matches, found.constraint
-    nis, degrees, told = 0.0, 0, None
+    nis, degrees, told, innovation = 0.0, 0, None, None
     along = np.zeros((0, 2))
     if constraint is not None and not matches.empty():
         objects = np.concatenate((matches.wall, matches.end))
@@ -65,6 +67,8 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
             config.update,
         )
         degrees = len(constraint.innovation)
+        S = constraint.gain.S
+        innovation = Innovation(constraint.innovation, S.diagonal().copy(), S.diagonal(1).copy())
         if degrees >= LEAST_ROWS:
             told = _surprise(area.V, V, nis, degrees)
         area = AreaMap(V, area.features, area.next_uid, area.glimpsed)
@@ -75,7 +79,7 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     founded = new.nonzero()[0]
     area = add_walls(area, view, founded, key)
     area = _new_ends(area, view, matches, founded, known, key, config, along)
-    return Step(area, matches, found.offered, nis, degrees, told)
+    return Step(area, matches, found.offered, nis, degrees, told, innovation)
 
 
 def _surprise(before: StochasticMap, after: StochasticMap, nis: float, rows: int) -> Surprise:

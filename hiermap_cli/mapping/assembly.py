@@ -27,6 +27,7 @@ from hiermap_cli.mapping.model import (
     Metric,
 )
 from hiermap_cli.mapping.rooms import Rooms, decide
+from hiermap_cli.mapping.trust import Trust
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -61,14 +62,16 @@ def assemble(mapper: Mapper, laser_x: float = 0.0) -> MapResult:
     doors = _doors(rooms.portals, levels, found)
     areas = tuple(_area(rooms, one, i, doors) for i, one in enumerate(found))
     landmarks = tuple(model for i, one in enumerate(found) for model in _landmarks(one, i))
+    trust = Trust.of(mapper, found)
     return MapResult(
         model=HierarchicalModel(_environment(levels, found, doors), areas, landmarks),
         trajectory=levels.trajectory,
         trajectory_filter=levels.trajectory,
         events=_events(mapper, rooms, doors),
-        metrics=_metrics(mapper, found, laser_x),
+        metrics=(*_metrics(mapper, found, laser_x), *trust.metrics()),
         timing={},
         dropped={},
+        consistency=trust.document(),
     )
 
 

@@ -162,17 +162,7 @@ def _close(
     for _ in range(rounds):
         split = [now[counts[i] : counts[i + 1]] for i in range(len(anchors))]
         frames, M = _place(split, now[0], tree, offsets)
-        G = np.zeros((3 * len(loops), len(P)))
-        c = np.zeros(3 * len(loops))
-        for i, link in enumerate(loops):
-            A = se2.compose(frames[link.a], split[link.a][link.anchor_a])
-            B = se2.compose(frames[link.b], split[link.b][link.anchor_b])
-            rows = slice(3 * i, 3 * i + 3)
-            c[rows] = se2.log(se2.compose(A, se2.invert(B)))
-            a, b = offsets[link.a] + 3 * link.anchor_a, offsets[link.b] + 3 * link.anchor_b
-            G[rows] = M[3 * link.a : 3 * link.a + 3] - M[3 * link.b : 3 * link.b + 3]
-            G[rows, a : a + 3] += se2.adjoint(frames[link.a])
-            G[rows, b : b + 3] -= se2.adjoint(frames[link.b])
+        c, G = _loop_rows(loops, frames, split, M, offsets)
         # The step from the prior: e = -P G^T (G P G^T)^-1 (c - G e_now).
         e_now = se2.log(se2.compose(now, se2.invert(before))).ravel()
         gain = np.linalg.solve(G @ P @ G.T + 1e-12 * np.eye(len(c)), G @ P).T
@@ -182,3 +172,61 @@ def _close(
             break
     P = symmetrise(P - P @ G.T @ np.linalg.solve(G @ P @ G.T + 1e-12 * np.eye(len(G)), G @ P))
     return [now[counts[i] : counts[i + 1]] for i in range(len(anchors))], now[0], P
+
+
+def _loop_rows(
+    loops: Sequence[Link],
+    frames: Array,
+    anchors: Sequence[Array],
+    M: Array,
+    offsets: NDArray[np.int64],
+) -> tuple[Array, Array]:
+    """`c = log(A B^-1)` of the places A, B that each loop joins, (3 l,), and d c / d e (3 l, N)."""
+    c, G = np.zeros(3 * len(loops)), np.zeros((3 * len(loops), M.shape[1]))
+    for i, link in enumerate(loops):
+        A = se2.compose(frames[link.a], anchors[link.a][link.anchor_a])
+        B = se2.compose(frames[link.b], anchors[link.b][link.anchor_b])
+        rows = slice(3 * i, 3 * i + 3)
+        c[rows] = se2.log(se2.compose(A, se2.invert(B)))
+        a, b = offsets[link.a] + 3 * link.anchor_a, offsets[link.b] + 3 * link.anchor_b
+        G[rows] = M[3 * link.a : 3 * link.a + 3] - M[3 * link.b : 3 * link.b + 3]
+        G[rows, a : a + 3] += se2.adjoint(frames[link.a])
+        G[rows, b : b + 3] -= se2.adjoint(frames[link.b])
+    return c, G
+
+
+class LoopResidual(NamedTuple):
+    """What a loop says against what was known before any loop was used.
+
+    between: (3,) the place by way of area b, seen from the place by way of area a. nis: the
+    normalised square of that error, a degree of freedom.
+    """
+
+    link: Link
+    between: Array
+    nis: float
+
+
+def loop_residuals(
+    areas: Sequence[Anchors], links: Sequence[Link], start: Array, C_start: Array
+) -> list[LoopResidual]:
+    """The residual of every loop, each alone; arguments as of `compose_environment`."""
+    tree, loops = _tree(len(areas), links)
+    if not loops:
+        return []
+    anchors = [a.poses for a in areas]
+    offsets = np.concatenate(([3], 3 + np.cumsum([3 * len(a) for a in anchors]))).astype(int)
+    frames, M = _place(anchors, np.asarray(start, dtype=float), tree, offsets)
+    c, G = _loop_rows(loops, frames, anchors, M, offsets)
+    out = []
+    for i, link in enumerate(loops):
+        rows = slice(3 * i, 3 * i + 3)
+        S = G[rows, :3] @ C_start @ G[rows, :3].T
+        for area, at in zip(areas, offsets, strict=False):
+            H = G[rows, at : at + len(area.covariance)]
+            S = S + H @ area.covariance @ H.T
+        nis = float(c[rows] @ np.linalg.solve(S + 1e-12 * np.eye(3), c[rows])) / 3.0
+        A = se2.compose(frames[link.a], anchors[link.a][link.anchor_a])
+        B = se2.compose(frames[link.b], anchors[link.b][link.anchor_b])
+        out.append(LoopResidual(link, se2.between(A, B), nis))
+    return out

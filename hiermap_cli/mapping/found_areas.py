@@ -28,23 +28,29 @@ if TYPE_CHECKING:
     from hiermap_cli.mapping.rooms import Rooms
 
     Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
 
 
 class AreaDrafts(NamedTuple):
-    """An area with the landmarks that it shows; `doors`: which of them is a portal's."""
+    """An area with the landmarks that it shows; `doors`: which of them is a portal's.
+
+    walls: uid of the wall behind each line.
+    """
 
     area: JoinedArea
     extent: Extent
     drafts: list[Draft]
     doors: dict[int, int]
     dropped: int
+    walls: Index
 
 
 class FoundArea(NamedTuple):
     """An area of the result with its landmarks.
 
     doors: which draft is the landmark of a portal. covariance: joint, additive, of the robot and
-    the drafts. first: number of its first landmark. dropped: landmarks that were not kept.
+    the drafts. first: number of its first landmark. dropped: landmarks that were not kept. walls:
+    uid of the wall behind each line that drafts are made of.
     """
 
     area: JoinedArea
@@ -54,6 +60,7 @@ class FoundArea(NamedTuple):
     covariance: Array
     first: int
     dropped: int
+    walls: Index
 
     def id(self, draft: int) -> str:
         """The id of a landmark."""
@@ -82,6 +89,7 @@ def find_areas(mapper: Mapper, levels: Levels, rooms: Rooms) -> list[FoundArea]:
                 covariance=joint_covariance(one.area.map.V, drafts),
                 first=first,
                 dropped=one.dropped + len(twice),
+                walls=one.walls,
             )
         )
         first += len(kept)
@@ -116,7 +124,8 @@ def _all_drafts(mapper: Mapper, levels: Levels, rooms: Rooms) -> list[AreaDrafts
         walls = at_vertices(walls, config)
         choice = find_landmarks(walls, config)
         drafts, doors = door_drafts(area, walls, sides, choice.kept, config)
-        every.append(AreaDrafts(area, extent, drafts, doors, choice.dropped))
+        behind = area.map.features.uid[walls.wall]
+        every.append(AreaDrafts(area, extent, drafts, doors, choice.dropped, behind))
     return every
 
 

@@ -16,7 +16,14 @@ import numpy as np
 from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR
-from hiermap_cli.mapping.environment import Anchors, Environment, Link, compose_environment
+from hiermap_cli.mapping.environment import (
+    Anchors,
+    Environment,
+    Link,
+    LoopResidual,
+    compose_environment,
+    loop_residuals,
+)
 from hiermap_cli.mapping.model import Trajectory
 
 if TYPE_CHECKING:
@@ -76,6 +83,13 @@ def compose_levels(mapper: Mapper) -> Levels:
         shifts=shifts,
         trajectory=_trajectory(environment, mapper.trail),
     )
+
+
+def residuals_of_loops(mapper: Mapper) -> list[LoopResidual]:
+    """What each loop of a mapper says against what was known before any of them."""
+    anchors, index = _anchors(mapper.areas)
+    links = [Link(p.a, index[p.a][p.anchor_a], p.b, index[p.b][p.anchor_b]) for p in mapper.portals]
+    return loop_residuals(anchors, links, np.array(mapper.config.start_pose), np.zeros((3, 3)))
 
 
 def change_frame(V: StochasticMap, R_a_b: Array) -> StochasticMap:

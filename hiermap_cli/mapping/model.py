@@ -139,7 +139,10 @@ class HierarchicalModel:
 
 @dataclass(frozen=True, slots=True)
 class MapResult:
-    """Everything a run found out; the counts of the input are added by the command."""
+    """Everything a run found out; the counts of the input are added by the command.
+
+    consistency: what the innovations say of the covariances, see `mapping.trust`.
+    """
 
     model: HierarchicalModel
     trajectory: Trajectory
@@ -148,3 +151,4 @@ class MapResult:
     metrics: tuple[Metric, ...]
     timing: dict[str, float]
     dropped: dict[str, int]
+    consistency: dict[str, Any] = field(default_factory=dict)
