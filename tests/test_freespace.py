@@ -180,3 +180,15 @@ def test_thinning_keeps_corners_and_drops_points_on_lines():
 )
 def test_kinds_by_shape(size, kind):
     assert area_kind(region_of(np.ones(size)), AreaConfig()) == kind
+
+
+def test_a_region_is_trimmed_to_its_cells():
+    mask = np.zeros((9, 7), dtype=bool)
+    mask[2:5, 3:6] = True
+    mask[3, 4] = False
+    region = region_of(mask, (-4, 10))
+    trimmed = region.trimmed()
+    assert trimmed.mask.shape == (3, 3)
+    assert np.array_equal(trimmed.centres(), region.centres())
+    assert trimmed.bounds() == pytest.approx(np.array([[-0.2, 1.3], [0.1, 1.6]]))
+    assert region_of(np.zeros((4, 4))).trimmed().mask.size == 0

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.freespace import FreeGrid, Region, closed, half_width, outline
+from hiermap_cli.mapping.freespace import (
+    FreeGrid,
+    Region,
+    closed,
+    half_width,
+    outline,
+    wider_than,
+)
 from hiermap_cli.mapping.places import door_barriers
 
 if TYPE_CHECKING:
@@ -27,6 +34,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 AreaKind = Literal["room", "corridor", "unknown"]
+
+TOGETHER = 100_000  # distances that are held at a time
 
 
 class Extent(NamedTuple):
@@ -60,15 +69,29 @@ def extents(
         _ground(parts, R, rooms, areas, places, config)
         for parts, R in zip(rooms.parts, R_0_p, strict=True)
     ]
+    near = _neighbours(grounds, frames)
     found = []
     for i, ground in enumerate(grounds):
         mask = ground.region.mask.copy()
-        for j, other in enumerate(grounds):
-            if i != j and mask.any():
-                mask &= ~_lost(ground, other, se2.between(frames[j], frames[i]))
+        for j in np.flatnonzero(near[i]).tolist():
+            cells = _lost(ground, grounds[j], se2.between(frames[j], frames[i]))
+            mask[cells[:, 0], cells[:, 1]] = False
         region = closed(Region(mask, ground.region.first), config.furniture)
         found.append(Extent(outline(region, config.outline), area_kind(region, config)))
     return found
+
+
+def _neighbours(grounds: Sequence[Ground], frames: Array) -> NDArray[np.bool_]:
+    """Which regions (n, n) may share cells: those whose circles about their bounds meet."""
+    bounds = [ground.region.bounds() for ground in grounds]
+    middle = [
+        _moved(frame, b.mean(axis=0)[None])[0] for frame, b in zip(frames, bounds, strict=True)
+    ]
+    radius = np.array([0.5 * np.hypot(*(b[1] - b[0])) for b in bounds])
+    between = np.array(middle)[:, None] - np.array(middle)
+    near = np.hypot(between[..., 0], between[..., 1]) <= radius[:, None] + radius
+    near &= ~np.eye(len(grounds), dtype=bool)
+    return np.asarray(near)
 
 
 def _ground(
@@ -86,35 +109,37 @@ def _ground(
         path.append(_moved(R, places.path(part)))
         barriers += [_moved(R, b) for b in door_barriers(part, areas[part], rooms.portals)]
     way = np.concatenate(path)
-    return Ground(grid.region(way, barriers, config.opening), way)
+    return Ground(grid.region(way, barriers, config.opening).trimmed(), way)
 
 
-def _lost(ground: Ground, other: Ground, R_other_this: Array) -> NDArray[np.bool_]:
-    """Cells of an area's region to which the robot came nearer in another, whose frame is given."""
-    region = ground.region
-    lost = np.zeros_like(region.mask)
-    here = region.centres()
+def _lost(ground: Ground, other: Ground, R_other_this: Array) -> NDArray[np.int64]:
+    """Cells (n, 2) of a region to which the robot came nearer in another, whose frame is given."""
+    here = ground.region.centres()
     there = _moved(R_other_this, here)
     contested = other.region.inside(there)
     if not contested.any():
-        return lost
-    cells = np.argwhere(region.mask)[contested]
-    nearer = _distance(there[contested], other.path) < _distance(here[contested], ground.path)
-    lost[cells[nearer, 0], cells[nearer, 1]] = True
-    return lost
+        return np.zeros((0, 2), dtype=np.int64)
+    nearer = _distance2(there[contested], other.path) < _distance2(here[contested], ground.path)
+    return np.argwhere(ground.region.mask)[contested][nearer]
 
 
-def _distance(points: Array, path: Array) -> Array:
-    """Metres from points (n, 2) to the nearest of a path (k, 2)."""
-    from scipy.spatial import KDTree
-
-    return np.asarray(KDTree(path).query(points)[0], dtype=float)
+def _distance2(points: Array, path: Array) -> Array:
+    """Square metres: the distance from points (n, 2) to the nearest of a path (k, 2), squared."""
+    nearest = np.empty(len(points))
+    many = max(1, TOGETHER // len(path))
+    for first in range(0, len(points), many):
+        some = points[first : first + many]
+        d2 = (path * path).sum(axis=1) - 2.0 * (some @ path.T)
+        nearest[first : first + many] = d2.min(axis=1) + (some * some).sum(axis=1)
+    return nearest
 
 
 def area_kind(region: Region, config: AreaConfig) -> AreaKind:
     """A corridor is narrow everywhere, and long; a room is not; too small an area is unknown."""
     if region.area() < config.min_area:
         return "unknown"
+    if wider_than(region, config.corridor_width):
+        return "room"
     width = 2.0 * half_width(region)
     long = region.area() > config.corridor_length * width**2
     return "corridor" if long and width < config.corridor_width else "room"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.geometry import se2
+from hiermap_cli.geometry import raster, se2
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -53,7 +53,19 @@ class Region(NamedTuple):
 
     def area(self) -> float:
         """Square metres."""
-        return float(self.mask.sum()) * CELL**2
+        return float(np.count_nonzero(self.mask)) * CELL**2
+
+    def trimmed(self) -> Region:
+        """The region without the rows and columns about it that are empty."""
+        if not self.mask.any():
+            return Region(self.mask[:0, :0], self.first)
+        i, j = np.flatnonzero(self.mask.any(axis=1)), np.flatnonzero(self.mask.any(axis=0))
+        mask = self.mask[i[0] : i[-1] + 1, j[0] : j[-1] + 1]
+        return Region(mask, (self.first[0] + int(i[0]), self.first[1] + int(j[0])))
+
+    def bounds(self) -> Array:
+        """The least and greatest x, y (2, 2) that its cells may have, metres."""
+        return CELL * (np.array([(0, 0), self.mask.shape]) + self.first)
 
     def centres(self) -> Array:
         """Centres (n, 2) of its cells, metres."""
@@ -115,16 +127,19 @@ class FreeGrid:
         corners = CELL * (np.array(self.first) + np.array([[0, 0], [w, 0], [0, h], [w, h]]))
         at = _moved(R_b_a, corners) / CELL
         low, high = np.floor(at.min(axis=0)).astype(int), np.ceil(at.max(axis=0)).astype(int)
-        size = high - low
-        cells = np.indices(size).reshape(2, -1).T + low + 0.5
-        back = np.floor(_moved(se2.invert(R_b_a), CELL * cells) / CELL).astype(int) - self.first
-        inside = ((back >= 0) & (back < (w, h))).all(axis=1)
+        x, y = (np.arange(a, b) + 0.5 for a, b in zip(low.tolist(), high.tolist(), strict=True))
+        # Where each cell of the new grid comes from.
+        back = se2.invert(R_b_a)
+        c, s = np.cos(back[2]), np.sin(back[2])
+        i = np.floor(back[0] / CELL - self.first[0] + c * x[:, None] - s * y).astype(np.int64)
+        j = np.floor(back[1] / CELL - self.first[1] + s * x[:, None] + c * y).astype(np.int64)
+        inside = (i >= 0) & (i < w) & (j >= 0) & (j < h)
+        taken = i[inside] * h + j[inside]
         out = FreeGrid(first=(int(low[0]), int(low[1])), scans=self.scans)
-        taken = back[inside]
         for name in ("passed", "ended"):
-            counts = np.zeros(len(cells), np.uint8)
-            counts[inside] = getattr(self, name)[taken[:, 0], taken[:, 1]]
-            setattr(out, name, counts.reshape(size))
+            counts = np.zeros(inside.shape, np.uint8)
+            counts[inside] = getattr(self, name).ravel()[taken]
+            setattr(out, name, counts)
         return out
 
     def joined(self, other: FreeGrid) -> FreeGrid:
@@ -152,8 +167,6 @@ class FreeGrid:
         what is seen through a door that the robot did not use stays outside. Nothing is told
         of what lies farther than `reach` metres outside the path's bounds.
         """
-        from scipy import ndimage
-
         if not len(path) or not self.passed.size:
             return Region(np.zeros((0, 0), dtype=bool), self.first)
         if reach is not None:
@@ -166,19 +179,20 @@ class FreeGrid:
                 x = np.minimum(cells[:, 0] + i, free.shape[0] - 1)
                 free[x, np.minimum(cells[:, 1] + j, free.shape[1] - 1)] = False
         radius = 0.5 * width / CELL
-        wide = ~_grown(~free, radius)
+        wide = raster.shrunk(free, radius)
         way = np.zeros_like(free)
         way[at[:, 0], at[:, 1]] = True
-        labels, _ = ndimage.label(wide | (way & free), np.ones((3, 3)))
+        labels = raster.pieces(wide | (way & free), diagonal=True)
         visits = np.bincount(labels[at[:, 0], at[:, 1]])
         visits[0] = 0
         if not visits.any():
             return Region(np.zeros_like(free), self.first)
         core = labels == int(np.argmax(visits))
-        near = free & _grown(core, radius + 0.5)
-        labels, _ = ndimage.label(near)  # again not across a barrier
-        mine = np.unique(labels[core & near])
-        return Region(np.isin(labels, mine[mine > 0]), self.first)
+        near = free & raster.grown(core, radius + 0.5)
+        labels = raster.pieces(near)  # again not across a barrier
+        mine = np.zeros(labels.max() + 1, dtype=bool)
+        mine[labels[core & near]] = True
+        return Region(mine[labels], self.first)
 
     def _about(self, path: Array, reach: float) -> FreeGrid:
         """The part of the grid that lies within `reach` metres of the bounds of a path."""
@@ -202,13 +216,6 @@ def _counted(counts: NDArray[np.uint8], cells: Index) -> NDArray[np.uint8]:
     return flat.reshape(counts.shape)
 
 
-def _grown(mask: Mask, radius: float) -> Mask:
-    """The cells within `radius` cells of those of a mask."""
-    from scipy import ndimage
-
-    return np.asarray(ndimage.distance_transform_edt(~mask) <= radius)
-
-
 def _along(segment: Array) -> Array:
     steps = max(2, int(np.hypot(*(segment[1] - segment[0])) / (0.3 * CELL)))
     way: Array = segment[1] - segment[0]
@@ -227,30 +234,24 @@ def closed(region: Region, gap: float) -> Region:
 
     Gaps up to `gap` metres wide, as between furniture, are taken for free.
     """
-    from scipy import ndimage
-
     if not region.mask.any():
         return region
     radius = 0.5 * gap / CELL
     pad = int(radius) + 2
     grid = np.pad(region.mask, pad)
-    near = ndimage.distance_transform_edt(~grid) <= radius
-    filled = ndimage.binary_fill_holes(grid | (ndimage.distance_transform_edt(near) > radius))
-    labels, count = ndimage.label(filled)
-    if count > 1:
-        sizes = np.bincount(labels.ravel())
-        sizes[0] = 0
-        filled = labels == int(np.argmax(sizes))
-    return Region(filled, (region.first[0] - pad, region.first[1] - pad))
+    bridged = grid | raster.shrunk(raster.grown(grid, radius), radius)
+    whole = raster.largest(raster.filled(bridged))
+    return Region(whole, (region.first[0] - pad, region.first[1] - pad))
 
 
 def half_width(region: Region) -> float:
     """Radius of the largest circle inside a region, metres; 0 without cells."""
-    from scipy import ndimage
+    return CELL * raster.depth(region.mask)
 
-    if not region.mask.any():
-        return 0.0
-    return CELL * float(ndimage.distance_transform_edt(np.pad(region.mask, 1)).max())
+
+def wider_than(region: Region, width: float) -> bool:
+    """Whether a circle wider than `width` metres fits into a region."""
+    return bool(raster.shrunk(np.pad(region.mask, 1), 0.5 * width / CELL).any())
 
 
 def outline(region: Region, detail: float) -> Array:
