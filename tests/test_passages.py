@@ -192,3 +192,21 @@ def test_sights_keep_the_nearest_of_neighbouring_beams(flipped):
     near = sight.ends[np.argmin(far)] - sight.origin
     assert np.arctan2(near[1], near[0]) == pytest.approx(0.9 if flipped else -0.9)
     assert len(sight.ends) < 201 / 2
+
+
+def test_a_chord_is_exact_as_far_as_it_is_asked_for():
+    """Ends that cannot belong to a chord short enough are left out, and change nothing."""
+    rng = np.random.default_rng(4)
+    short = 0
+    for spread in np.linspace(0.5, 2.0, 60):
+        angle, r = rng.uniform(-np.pi, np.pi, 300), spread * rng.uniform(0.6, 1.4, 300)
+        ends = np.stack((r * np.cos(angle), r * np.sin(angle)), axis=1)
+        width, jambs = narrowest_chord(np.zeros(2), ends)
+        asked, found = narrowest_chord(np.zeros(2), ends, 2.05)
+        if width <= 2.05:
+            short += 1
+            assert asked == width
+            assert np.array_equal(found, jambs)
+        else:
+            assert asked > 2.05
+    assert 10 < short < 50

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -19,7 +20,7 @@ from hiermap_cli.mapping.passages import (
     aligned,
     needed,
 )
-from hiermap_cli.mapping.places import NEAR_BY, Places
+from hiermap_cli.mapping.places import AT_HOME, NEAR_BY, Places
 from hiermap_cli.mapping.portals import (
     KnownDoors,
     Portal,
@@ -111,7 +112,7 @@ class Crossings:
             self._known_again(now, known)
             return self.current
         c = self.config.areas
-        far = np.hypot(*robot[:2]) > c.max_extent
+        far = math.hypot(robot[0], robot[1]) > c.max_extent
         large = far or len(self.area.features.uid) > c.max_objects
         if large and not self._on_known_ground():
             frame = se2.compose(robot, np.array([0.0, 0.0, -0.5 * np.pi]))
@@ -224,7 +225,7 @@ class Crossings:
     def _on_known_ground(self) -> bool:
         """Whether the robot has been about here before, in the present area."""
         before = self.trace.length - LATELY
-        return self.places.known_ground(self.current, self.area.V.robot[:2], before, 1.5)
+        return self.places.known_ground(self.current, self.area.V.robot[:2], before, AT_HOME)
 
     def _all_along_in(self, region: Region, R_h_c: Array) -> bool:
         """Whether the robot has been there ever since it began the present area, just now."""

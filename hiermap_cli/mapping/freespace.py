@@ -8,6 +8,7 @@ together with the robot's path in it, without going through its doors.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -85,35 +86,43 @@ class FreeGrid:
         """A scan: beams from `origin` (2,) to `ends` (n, 2) in the area's frame."""
         if not len(ends):
             return
-        start, stop = origin / CELL, ends / CELL
-        low = np.floor(np.minimum(stop.min(axis=0), start)).astype(np.int64)
-        high = np.floor(np.maximum(stop.max(axis=0), start)).astype(np.int64)
-        self._grow(low, high)
-        start, stop = start - self.first, stop - self.first
-        d = stop - start
-        length = np.hypot(d[:, 0], d[:, 1])
-        samples = np.maximum((length * CELL - SHORT) / STEP, 0.0).astype(np.int64)
-        before = np.cumsum(samples) - samples
-        k = np.arange(int(samples.sum())) - np.repeat(before, samples)
-        t = (k + 0.5) * np.repeat(STEP / CELL / np.maximum(length, 1e-9), samples)
-        free = (start + t[:, None] * np.repeat(d, samples, axis=0)).astype(np.int64)
-        self.passed = _counted(self.passed, free)
-        self.ended = _counted(self.ended, stop.astype(np.int64))
+        x0, y0 = (origin / CELL).tolist()
+        x, y = (ends / CELL).T
+        self._grow(
+            (math.floor(min(x.min(), x0)), math.floor(min(y.min(), y0))),
+            (math.floor(max(x.max(), x0)), math.floor(max(y.max(), y0))),
+        )
+        i0, j0 = self.first
+        x, y, x0, y0 = x - i0, y - j0, x0 - i0, y0 - j0
+        dx, dy = x - x0, y - y0
+        length = np.sqrt(dx * dx + dy * dy)
+        samples = np.maximum((length - SHORT / CELL) * (CELL / STEP), 0.0).astype(np.int64)
+        step = (STEP / CELL) / np.maximum(length, 1e-9)
+        dx *= step
+        dy *= step
+        # Sample k of all, being number k - first of its beam, lies that many steps and a half out.
+        first = np.cumsum(samples) - samples - 0.5
+        beam = np.repeat(np.arange(len(samples)), samples)
+        k = np.arange(len(beam), dtype=float)
+        free_x = k * dx.take(beam) + (x0 - first * dx).take(beam)
+        free_y = k * dy.take(beam) + (y0 - first * dy).take(beam)
+        _count(self.passed, free_x.astype(np.int64), free_y.astype(np.int64))
+        _count(self.ended, x.astype(np.int64), y.astype(np.int64))
         self.scans += 1
 
-    def _grow(self, low: Index, high: Index) -> None:
-        shape = self.passed.shape
-        if shape == (0, 0):
-            self.first = (int(low[0]) - PAD // 2, int(low[1]) - PAD // 2)
-        first = np.array(self.first)
-        before = np.where(low < first, first - low + PAD, 0)
-        last = first + shape
-        after = np.where(high >= last, high - last + PAD, 0)
-        if not (before.any() or after.any()):
-            return
-        pad = tuple(zip(before.tolist(), after.tolist(), strict=True))
-        self.passed, self.ended = np.pad(self.passed, pad), np.pad(self.ended, pad)
-        self.first = (int(first[0] - before[0]), int(first[1] - before[1]))
+    def _grow(self, low: tuple[int, int], high: tuple[int, int]) -> None:
+        """So large that the cells from `low` to `high` are in it."""
+        if not self.passed.size:
+            self.first = (low[0] - PAD // 2, low[1] - PAD // 2)
+        before, after = [0, 0], [0, 0]
+        for k in (0, 1):
+            last = self.first[k] + self.passed.shape[k]
+            before[k] = self.first[k] - low[k] + PAD if low[k] < self.first[k] else 0
+            after[k] = high[k] - last + PAD if high[k] >= last else 0
+        if any(before) or any(after):
+            pad = tuple(zip(before, after, strict=True))
+            self.passed, self.ended = np.pad(self.passed, pad), np.pad(self.ended, pad)
+            self.first = (self.first[0] - before[0], self.first[1] - before[1])
 
     def free(self) -> Mask:
         """Cells that beams have passed and at most few have ended in, (w, h)."""
@@ -147,10 +156,9 @@ class FreeGrid:
         if not other.passed.size:
             return self
         out = FreeGrid(self.passed, self.ended, self.first, self.scans + other.scans)
-        low = np.array(other.first)
-        out._grow(low, low + other.passed.shape - 1)
-        i, j = (low - out.first).tolist()
-        w, h = other.passed.shape
+        (i, j), (w, h) = other.first, other.passed.shape
+        out._grow((i, j), (i + w - 1, j + h - 1))
+        i, j = i - out.first[0], j - out.first[1]
         for name in ("passed", "ended"):
             counts = getattr(out, name).astype(np.int64)
             counts[i : i + w, j : j + h] += getattr(other, name)
@@ -207,13 +215,12 @@ class FreeGrid:
         return cells[((cells >= 0) & (cells < self.passed.shape)).all(axis=1)]
 
 
-def _counted(counts: NDArray[np.uint8], cells: Index) -> NDArray[np.uint8]:
-    """The counts with one more for each of these cells, however often it is named."""
+def _count(counts: NDArray[np.uint8], i: Index, j: Index) -> None:
+    """One more for each of these cells, however often it is named; `counts` is changed."""
     flat = counts.reshape(-1)
-    at = cells[:, 0] * counts.shape[1] + cells[:, 1]
-    now = flat[at]
+    at = i * counts.shape[1] + j
+    now = flat.take(at)
     flat[at] = now + (now < ENOUGH)  # of a cell named twice the same is written twice
-    return flat.reshape(counts.shape)
 
 
 def _along(segment: Array) -> Array:

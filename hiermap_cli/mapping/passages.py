@@ -10,6 +10,7 @@ passes; beside furniture the beams go on.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
@@ -39,6 +40,7 @@ SECTORS = 48
 OPPOSITE = 2  # sectors by which the two jambs may miss opposite directions
 # The sectors that lie across from each.
 ACROSS = (np.arange(SECTORS)[:, None] + np.arange(-OPPOSITE, OPPOSITE + 1) + SECTORS // 2) % SECTORS
+NO_ENDS = np.zeros(0, dtype=np.int64)
 # Metres across the line and radians by which a frame is moved to lie along walls, in two rounds.
 COARSE = tuple((0.0, 0.2 * k) for k in (0, 1, -1, 2, -2, 3, -3))
 FINE = tuple((offset, 0.1 * k) for offset in (0.0, 0.1, -0.1) for k in (0, 1, -1))
@@ -92,11 +94,11 @@ class Trace:
         self.length += step
         turn_so_far = 0.0
         if self.poses:
-            turned = abs(float(se2.wrap(pose[2] - self.poses[-1][2])))
+            turned = abs(se2.wrap_one(float(pose[2] - self.poses[-1][2])))
             if self.length - self.travelled[-1] < APART and turned < APART_ANGLE:
                 return
             turn_so_far = self.turned[-1] + turned
-        c, s = np.cos(pose[2]), np.sin(pose[2])
+        c, s = math.cos(pose[2]), math.sin(pose[2])
         turn = np.array([[c, s], [-s, c]])
         origin = pose[:2] + sight.origin @ turn
         ends = pose[:2] + sight.ends @ turn
@@ -191,7 +193,8 @@ class PassageDetector:
         f = (s - trace.travelled[i - 1]) / span if span > 0 else 1.0
         point = a + min(max(f, 0.0), 1.0) * (b - a)
         recent = bisect_left(trace.travelled, s - NEAR)
-        width, jambs = narrowest_chord(point, np.concatenate(trace.near[recent:]))
+        most = self.config.max_width + self.config.widening
+        width, jambs = narrowest_chord(point, np.concatenate(trace.near[recent:]), most)
         self.at.append(s)
         self.width.append(width)
         self.jambs.append(jambs)
@@ -253,28 +256,33 @@ def needed(width: float) -> float:
     return max(1.0, width)
 
 
-def narrowest_chord(point: Array, ends: Array) -> tuple[float, Array]:
+def narrowest_chord(point: Array, ends: Array, most: float = 2.0 * WIDEST) -> tuple[float, Array]:
     """The narrowest chord through a point between beams' ends: its length, its ends (2, 2).
 
-    Ends beyond `WIDEST` do not count: the longest chord is twice that.
+    Ends beyond `WIDEST` do not count: the longest chord is twice that. Where none is as short as
+    `most` the longest is told, with its ends in the point.
     """
-    d = ends - point
-    r2 = d[:, 0] ** 2 + d[:, 1] ** 2
-    near = np.flatnonzero(r2 < WIDEST * WIDEST)
-    near = near[np.argsort(-r2[near], kind="stable")]
-    d, r = d[near], np.sqrt(r2[near])
-    sector = (np.arctan2(d[:, 1], d[:, 0]) * (SECTORS / (2.0 * np.pi)) + SECTORS).astype(np.int64)
-    sector %= SECTORS
+    x, y = ends[:, 0] - point[0], ends[:, 1] - point[1]
+    r2 = x * x + y * y
+    # Even with the nearest end of all, one farther than this makes a chord that is too long.
+    limit = min(WIDEST, most - math.sqrt(r2.min(initial=WIDEST * WIDEST)))
+    near = (r2 < limit * limit).nonzero()[0] if limit > 0.0 else NO_ENDS
+    x, y, r = x[near], y[near], np.sqrt(r2[near])
+    sector = (np.arctan2(y, x) * (SECTORS / (2.0 * np.pi)) + SECTORS).astype(np.int64)
+    sector[sector >= SECTORS] -= SECTORS
     nearest = np.full(SECTORS, WIDEST)
-    nearest[sector] = r  # of one sector the nearest is written last
+    np.minimum.at(nearest, sector, r)
     across = nearest[ACROSS]
     chord = nearest + across.min(axis=1)
-    i = int(np.argmin(chord))
-    j = int(ACROSS[i, np.argmin(across[i])])
+    i = int(chord.argmin())
+    if chord[i] > most:
+        return 2.0 * WIDEST, np.array((point, point))
+    j = int(ACROSS[i, across[i].argmin()])
     jambs = np.empty((2, 2))
     for k, b in enumerate((i, j)):
         if nearest[b] < WIDEST:
-            jambs[k] = point + d[np.flatnonzero(sector == b)[-1]]
+            at = ((r == nearest[b]) & (sector == b)).argmax()
+            jambs[k] = point[0] + x[at], point[1] + y[at]
         else:
             angle = 2.0 * np.pi * (b + 0.5) / SECTORS
             jambs[k] = point + WIDEST * np.array([np.cos(angle), np.sin(angle)])
@@ -314,12 +322,13 @@ def aligned(frame: Array, width: float, origins: Array, ends: Array) -> tuple[Ar
 
 
 def _about(frame: Array, radius: float, origins: Array, ends: Array) -> tuple[Array, Array]:
-    """The beams that come within `radius` of the frame's origin."""
-    d = ends - origins
-    t = ((frame[:2] - origins) * d).sum(axis=1) / np.maximum((d * d).sum(axis=1), 1e-12)
-    foot = origins + np.clip(t, 0.0, 1.0)[:, None] * d - frame[:2]
-    near = (foot * foot).sum(axis=1) < radius * radius
-    return origins[near], ends[near]
+    """The beams that come within `radius` of the frame's origin, in columns."""
+    (ox, oy), (dx, dy) = (origins - frame[:2]).T, (ends - origins).T
+    t = -(ox * dx + oy * dy) / np.maximum(dx * dx + dy * dy, 1e-12)
+    t = t.clip(0.0, 1.0)
+    x, y = ox + t * dx, oy + t * dy
+    near = (x * x + y * y < radius * radius).nonzero()[0]
+    return origins.T.take(near, axis=1).T, ends.T.take(near, axis=1).T
 
 
 def line_evidence(frame: Array, width: float, origins: Array, ends: Array) -> tuple[Array, Array]:
@@ -328,23 +337,27 @@ def line_evidence(frame: Array, width: float, origins: Array, ends: Array) -> tu
     A piece of the line is wall where beams end on it and (nearly) none passes, open where more
     pass than end; where no beam comes it is neither.
     """
-    c, s = np.cos(frame[2]), np.sin(frame[2])
-    turn = np.array([[c, -s], [s, c]])
-    o, e = (origins - frame[:2]) @ turn, (ends - frame[:2]) @ turn
-    off = np.abs(o[:, 1]) > STAND_OFF
-    on_line = off & (np.abs(e[:, 1]) < THICKNESS)
-    through = off & (o[:, 1] * e[:, 1] < 0.0) & (np.abs(e[:, 1]) > BEYOND)
-    f = o[through, 1] / (o[through, 1] - e[through, 1])
-    crossed = o[through, 0] + f * (e[through, 0] - o[through, 0])
-    wall, opened = np.zeros(2), np.zeros(2)
-    for k, side in enumerate((-1.0, 1.0)):
-        hits = _counts((side * e[on_line, 0] - 0.5 * width) / BIN)
-        passes = _counts((side * crossed - 0.5 * width) / BIN)
-        wall[k] = BIN * np.count_nonzero((hits >= 2) & (3 * passes <= hits))
-        opened[k] = BIN * np.count_nonzero((passes >= 2) & (passes > hits))
+    x, y, theta = frame.tolist()
+    c, s = math.cos(theta), math.sin(theta)
+    u, v = c * x + s * y, c * y - s * x
+    (ox, oy), (ex, ey) = origins.T, ends.T
+    before, after = c * oy - s * ox - v, c * ey - s * ex - v
+    off, left = np.abs(before) > STAND_OFF, np.abs(after)
+    on_line = (off & (left < THICKNESS)).nonzero()[0]
+    through = (off & (left > BEYOND) & (before * after < 0.0)).nonzero()[0]
+    hits = _counts(c * ex[on_line] + s * ey[on_line] - u, width)
+    before, after = before[through], after[through]
+    ox, oy, ex, ey = ox[through], oy[through], ex[through], ey[through]
+    f = before / (before - after)
+    passes = _counts(c * (ox + f * (ex - ox)) + s * (oy + f * (ey - oy)) - u, width)
+    wall = BIN * ((hits >= 2) & (3 * passes <= hits)).sum(axis=1)
+    opened = BIN * ((passes >= 2) & (passes > hits)).sum(axis=1)
     return wall, opened
 
 
-def _counts(bins: Array) -> Index:
-    inside = bins[(bins >= 0.0) & (bins < BINS)].astype(np.int64)
-    return np.bincount(inside, minlength=BINS)
+def _counts(along: Array, width: float) -> Index:
+    """How many of these places (n,) along the line are in each bin beside the jambs, (2, BINS)."""
+    bins = (np.abs(along) - 0.5 * width) / BIN
+    inside = ((bins >= 0.0) & (bins < BINS)).nonzero()[0]
+    at = bins[inside].astype(np.int64) + BINS * (along[inside] > 0.0)
+    return np.bincount(at, minlength=2 * BINS).reshape(2, BINS)

@@ -27,15 +27,38 @@ if TYPE_CHECKING:
 APART, APART_ANGLE = 0.3, 0.4  # metres or radians between scans that are looked at
 BESIDE = 0.5  # metres beyond a door's jambs that are barred too
 NEAR_BY = 4.0  # metres from where it was in an area within which it may know the place again
+AT_HOME = 1.5  # metres from where it was within which it is there again
 GROUND = 1.0  # metres: cells by which it is told where the robot was
 
 
 @cache
 def _disc(radius: int) -> tuple[tuple[int, int], ...]:
-    """Cells within a radius of one, the nearest first."""
+    """Cells within a radius of one."""
     steps = range(-radius, radius + 1)
-    inside = [(i, j) for i in steps for j in steps if i * i + j * j <= radius * radius]
-    return tuple(sorted(inside, key=lambda c: (c[0] ** 2 + c[1] ** 2, c)))
+    return tuple((i, j) for i in steps for j in steps if i * i + j * j <= radius * radius)
+
+
+class Ground:
+    """Where the robot has been in an area, told by cells of `GROUND`."""
+
+    def __init__(self) -> None:
+        self._been: set[tuple[int, int]] = set()
+        # Of each radius the cells that near, and the metres of path at which it first came so.
+        self._near: dict[float, dict[tuple[int, int], float]] = {AT_HOME: {}, NEAR_BY: {}}
+
+    def visit(self, x: float, y: float, travelled: float) -> None:
+        """The robot is there at `travelled` metres of path; never fewer than before."""
+        cell = (math.floor(x / GROUND), math.floor(y / GROUND))
+        if cell in self._been:
+            return
+        self._been.add(cell)
+        for radius, first in self._near.items():
+            for i, j in _disc(round(radius / GROUND)):
+                first.setdefault((cell[0] + i, cell[1] + j), travelled)
+
+    def since(self, x: float, y: float, radius: float) -> float:
+        """Metres of path at which it first was within `AT_HOME` or `NEAR_BY` metres of a point."""
+        return self._near[radius].get((math.floor(x / GROUND), math.floor(y / GROUND)), math.inf)
 
 
 @dataclass(slots=True)
@@ -49,7 +72,7 @@ class Places:
     widest_door: float  # metres
     grids: dict[int, FreeGrid] = field(default_factory=dict)
     paths: dict[int, set[tuple[int, int]]] = field(default_factory=dict)
-    ground: dict[int, dict[tuple[int, int], float]] = field(default_factory=dict)
+    ground: dict[int, Ground] = field(default_factory=dict)
     _last: tuple[float, float] = (-np.inf, 0.0)
     _area: int = -1
     _regions: dict[int, tuple[int, int, Region]] = field(default_factory=dict)
@@ -81,11 +104,15 @@ class Places:
         path = self.paths.setdefault(area, set())
         before = trace.poses[i - 1] if i and self._area == area else pose
         self._area = area
-        steps = 1 + int(np.hypot(*(pose[:2] - before[:2])) / (0.5 * CELL))
-        way = before[:2] + np.linspace(0.0, 1.0, steps + 1)[:, None] * (pose[:2] - before[:2])
-        path.update(map(tuple, np.floor(way / CELL).astype(int).tolist()))
-        x, y = np.floor(pose[:2] / GROUND).astype(int).tolist()
-        self.ground.setdefault(area, {}).setdefault((x, y), at)
+        (x, y), (x0, y0) = pose[:2].tolist(), before[:2].tolist()
+        steps = 1 + int(math.hypot(x - x0, y - y0) / (0.5 * CELL))
+        for k in range(steps + 1):
+            f = k / steps
+            way = x0 + f * (x - x0), y0 + f * (y - y0)
+            path.add((math.floor(way[0] / CELL), math.floor(way[1] / CELL)))
+        if area not in self.ground:
+            self.ground[area] = Ground()
+        self.ground[area].visit(x, y, at)
         turned = trace.turned[i]
         if at - self._last[0] < APART and abs(turned - self._last[1]) < APART_ANGLE:
             return
@@ -94,17 +121,12 @@ class Places:
         grid.add(trace.origins[i], trace.ends[i])
 
     def known_ground(self, area: int, point: Array, before: float, radius: float) -> bool:
-        """Whether the robot was within `radius` metres of a point of the area, long enough ago.
+        """Whether the robot was near a point of the area, long enough ago.
 
-        before: metres of path at which it was there at the latest.
+        before: metres of path at which it was there at the latest. radius: `AT_HOME` or `NEAR_BY`.
         """
         ground = self.ground.get(area)
-        if not ground:
-            return False
-        x, y = math.floor(point[0] / GROUND), math.floor(point[1] / GROUND)
-        return any(
-            ground.get((x + i, y + j), math.inf) < before for i, j in _disc(round(radius / GROUND))
-        )
+        return ground is not None and ground.since(point[0], point[1], radius) < before
 
     def region(self, area: int, map_: AreaMap, portals: Sequence[Portal]) -> Region:
         """The free space of an area within its doors, in its frame, where it surely is the area.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
@@ -80,8 +81,9 @@ class KnownDoors:
     _portal: list[int] = field(default_factory=list)
     _frame: Array = field(default_factory=lambda: np.zeros((0, 3)))
     _sign: Array = field(default_factory=lambda: np.zeros(0))
-    _half: Array = field(default_factory=lambda: np.zeros(0))
-    _before: Array | None = None
+    _half: list[float] = field(default_factory=list)
+    _line: list[tuple[float, ...]] = field(default_factory=list)
+    _before: list[tuple[float, float]] | None = None
     _passed: set[int] = field(default_factory=set)
 
     def set(self, area: int, areas: Sequence[AreaMap], portals: Sequence[Portal]) -> None:
@@ -94,9 +96,13 @@ class KnownDoors:
         ]
         self._portal = [i for i, _, _ in sides]
         self._sign = np.array([1.0 if from_a else -1.0 for _, _, from_a in sides])
-        self._half = np.array([0.5 * p.width + ASIDE for _, p, _ in sides])
+        self._half = [0.5 * p.width + ASIDE for _, p, _ in sides]
         frames = [door_frame(areas[area], p, from_a=from_a) for _, p, from_a in sides]
         self._frame = np.array(frames).reshape(-1, 3)
+        self._line = [
+            (x, y, math.cos(theta), math.sin(theta), sign)
+            for (x, y, theta), sign in zip(self._frame.tolist(), self._sign.tolist(), strict=True)
+        ]
         self._before = None
         self._passed = set()
 
@@ -109,21 +115,21 @@ class KnownDoors:
         """The portal by which the robot, now at `pose`, has left the area, if it has."""
         if not self._portal:
             return None
-        d = pose[:2] - self._frame[:, :2]
-        c, s = np.cos(self._frame[:, 2]), np.sin(self._frame[:, 2])
-        now = np.column_stack((c * d[:, 0] + s * d[:, 1], self._sign * (c * d[:, 1] - s * d[:, 0])))
+        x, y, _ = pose.tolist()
+        now = [
+            (c * (x - x0) + s * (y - y0), sign * (c * (y - y0) - s * (x - x0)))
+            for x0, y0, c, s, sign in self._line
+        ]
         before, self._before = self._before, now
         if before is None:
             return None
-        left = (before[:, 1] <= 0.0) & (now[:, 1] > 0.0)
-        for i in np.flatnonzero(left):
-            f = before[i, 1] / (before[i, 1] - now[i, 1])
-            if abs(before[i, 0] + f * (now[i, 0] - before[i, 0])) < self._half[i]:
-                self._passed.add(int(i))
-        if self._passed:
-            self._passed -= set(np.flatnonzero(now[:, 1] <= 0.0).tolist())
+        for i, ((u0, v0), (u, v)) in enumerate(zip(before, now, strict=True)):
+            if v <= 0.0:
+                self._passed.discard(i)
+            elif v0 <= 0.0 and abs(u0 + v0 / (v0 - v) * (u - u0)) < self._half[i]:
+                self._passed.add(i)
         for k in sorted(self._passed):
-            if now[k, 1] > self.hysteresis:
+            if now[k][1] > self.hysteresis:
                 return self._portal[k]
         return None
 

@@ -11,7 +11,6 @@ some path in between.
 from __future__ import annotations
 
 import heapq
-import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -38,19 +37,21 @@ if TYPE_CHECKING:
 
 
 class Relative(NamedTuple):
-    """Frame of another area seen from here.
+    """Frames of other areas seen from here, or one of them.
 
-    pose: R_c_h (3,). covariance: (3, 3) of `log(R_c_h R_c_h_hat^-1)`, in this area's frame.
+    pose: R_c_h (..., 3). covariance: (..., 3, 3) of `log(R_c_h R_c_h_hat^-1)`, in this area's
+    frame.
     """
 
     pose: Array
     covariance: Array
 
-    def at(self, point: Array) -> float:
-        """Standard deviation (metres) of where a point (2,) of this area lies in the other."""
+    def at(self, point: Array) -> Array:
+        """Standard deviations (...) in metres of where a point (2,) of this area lies there."""
         (x, y), C = point.tolist(), self.covariance
-        variance = C[0, 0] + C[1, 1] + 2.0 * (x * C[1, 2] - y * C[0, 2])
-        return math.sqrt(max(float(variance + (x * x + y * y) * C[2, 2]), 0.0))
+        variance = C[..., 0, 0] + C[..., 1, 1] + 2.0 * (x * C[..., 1, 2] - y * C[..., 0, 2])
+        sigma: Array = np.sqrt(np.maximum(variance + (x * x + y * y) * C[..., 2, 2], 0.0))
+        return sigma
 
 
 def relative_frames(
@@ -78,7 +79,7 @@ def relative_frames(
             pose = se2.compose(at.pose, R)
             reached = Relative(pose, at.covariance + Ad @ C @ Ad.T)
             ties += 1
-            heapq.heappush(waiting, (reached.at(V.robot[:2]), ties, there, into, reached))
+            heapq.heappush(waiting, (float(reached.at(V.robot[:2])), ties, there, into, reached))
 
     leave(here, -1, Relative(np.zeros(3), np.zeros((3, 3))))
     while waiting:
@@ -127,6 +128,8 @@ class Recogniser:
 
     config: Config
     frames: dict[int, Relative] = field(default_factory=dict)
+    _areas: list[int] = field(default_factory=list)
+    _all: Relative = field(default_factory=lambda: Relative(np.zeros((0, 3)), np.zeros((0, 3, 3))))
     _asked: float = 0.0
     _before: dict[int, tuple[float, Recognised]] = field(default_factory=dict)
 
@@ -135,6 +138,11 @@ class Recogniser:
     ) -> None:
         """The robot is in this area from now on."""
         self.frames = relative_frames(here, areas, portals)
+        self._areas = sorted(self.frames)
+        self._all = Relative(
+            np.array([self.frames[h].pose for h in self._areas]).reshape(-1, 3),
+            np.array([self.frames[h].covariance for h in self._areas]).reshape(-1, 3, 3),
+        )
         self._asked = travelled
         self._before = {}
 
@@ -144,10 +152,12 @@ class Recogniser:
 
     def candidates(self, robot: Array) -> list[tuple[int, Array]]:
         """Areas whose place here is known well enough, with the robot's pose (3,) there."""
+        if not self._areas:
+            return []
+        known = self._all.at(robot[:2]) < self.config.areas.ask_sigma
+        poses = se2.between(self._all.pose[known], robot)
         return [
-            (h, se2.between(frame.pose, robot))
-            for h, frame in sorted(self.frames.items())
-            if frame.at(robot[:2]) < self.config.areas.ask_sigma
+            (self._areas[i], R) for i, R in zip(known.nonzero()[0].tolist(), poses, strict=True)
         ]
 
     def ask(
@@ -155,6 +165,8 @@ class Recogniser:
     ) -> Recognised | None:
         """Which one of the areas asked for this is, if the same was found before."""
         self._asked = travelled
+        if not asked:
+            return None
         c = self.config.areas
         view, extent = lately_seen(here, key, c)
         if len(view.length) < c.least_walls - 1:
@@ -175,7 +187,8 @@ class Recogniser:
         frame = self.frames[found.area]
         predicted = se2.between(frame.pose, robot)
         off = se2.between(predicted, se2.compose(found.R_h_c, robot))
-        return frame.at(robot[:2]) < self.config.areas.sure_sigma and self._agree(off)
+        known = float(frame.at(robot[:2])) < self.config.areas.sure_sigma
+        return known and self._agree(off)
 
     def _second(self, found: Recognised, travelled: float, young: bool, here: AreaMap) -> bool:
         """Whether the same was found before, with path enough in between; else it is kept."""
