@@ -31,8 +31,8 @@ _SPECIAL = {".inf": "inf", "+.inf": "inf", "-.inf": "-inf", ".nan": "nan"}
 _NULLS = {"", "~", "null", "Null", "NULL"}
 _TRUE = {"true", "yes", "on"}
 _FALSE = {"false", "no", "off"}
-_MAX_BYTES = 1_000_000
-_MAX_NODES = 200_000  # after aliases are followed: a bomb of anchors ends here
+MAX_BYTES = 1_000_000
+MAX_NODES = 200_000  # after aliases are followed: a bomb of anchors ends here
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -70,15 +70,15 @@ def top_keys(path: Path) -> dict[str, type]:
     return {str(key.value): kinds[type(value)] for key, value in node.value}
 
 
-def _read_text(path: Path) -> str:
+def _read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
     """The text of a file.
 
     Raises:
         ConfigurationError: it cannot be read, is no UTF-8, or is larger than any of ours.
     """
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ConfigurationError(str(path), [f"is larger than {_MAX_BYTES} bytes"])
+        if path.stat().st_size > max_bytes:
+            raise ConfigurationError(str(path), [f"is larger than {max_bytes} bytes"])
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigurationError(
@@ -99,18 +99,24 @@ def parse_yaml(text: str, source: str, shape: type[M]) -> M:
     return parse_with_lines(text, source, shape)[0]
 
 
-def read_with_lines(path: Path, shape: type[M]) -> tuple[M, dict[KeyPath, int]]:
+def read_with_lines(
+    path: Path, shape: type[M], *, max_bytes: int = MAX_BYTES, max_nodes: int = MAX_NODES
+) -> tuple[M, dict[KeyPath, int]]:
     """A YAML file as the model `shape`, and the line of every key and item, by its path.
 
-    For those who find faults that no shape can tell, and want to say where they are.
+    For those who find faults that no shape can tell, and want to say where they are. A file
+    larger than `max_bytes`, or with more nodes than `max_nodes`, is none of this shape.
 
     Raises:
         ConfigurationError: the file cannot be read, or has faults; all of them are listed.
     """
-    return parse_with_lines(_read_text(Path(path)), str(path), shape)
+    text = _read_text(Path(path), max_bytes)
+    return parse_with_lines(text, str(path), shape, max_nodes=max_nodes)
 
 
-def parse_with_lines(text: str, source: str, shape: type[M]) -> tuple[M, dict[KeyPath, int]]:
+def parse_with_lines(
+    text: str, source: str, shape: type[M], *, max_nodes: int = MAX_NODES
+) -> tuple[M, dict[KeyPath, int]]:
     """As `parse_yaml`, with the line of every key and item, by its path.
 
     Raises:
@@ -122,7 +128,7 @@ def parse_with_lines(text: str, source: str, shape: type[M]) -> tuple[M, dict[Ke
     if not isinstance(node, yaml.MappingNode):
         line = node.start_mark.line + 1
         raise ConfigurationError(source, [f"line {line}: must hold keys with values, key: value"])
-    builder = _Builder()
+    builder = _Builder(max_nodes)
     try:
         value = builder.build(node, shape, ())
     except (_TooLargeError, RecursionError):
@@ -184,15 +190,16 @@ class _TooLargeError(Exception):
 class _Builder:
     """Turns nodes into plain values, remembering the line of every path and each fault."""
 
-    def __init__(self) -> None:
+    def __init__(self, max_nodes: int) -> None:
         self.lines: dict[KeyPath, int] = {}
         self.faults: list[Fault] = []
         self._nodes = 0
+        self._max_nodes = max_nodes
 
     def build(self, node: yaml.Node, wanted: Any, path: KeyPath) -> Any:
         """The value of `node` where the annotation `wanted` is asked for."""
         self._nodes += 1
-        if self._nodes > _MAX_NODES:
+        if self._nodes > self._max_nodes:
             raise _TooLargeError
         self.lines[path] = node.start_mark.line + 1
         if isinstance(node, yaml.MappingNode):

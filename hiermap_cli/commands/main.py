@@ -21,6 +21,7 @@ COMMANDS = {
     "inspect": "Say what is in a log and what `run` would use.",
     "convert": "Write any log that can be read as a ROS 2 MCAP.",
     "simulate": "Make a log, its truth and its reference map from a floor plan.",
+    "batch": "Run and evaluate many logs; resume where an earlier batch ended.",
     "config": "Print the default configuration as YAML, every key explained.",
     "validate": "Check documents against their schemas.",
 }

@@ -286,6 +286,8 @@ class JobDefaults(Shape):
     trajectory: str | None = None
     relations: str | None = None
     limits: list[str] | None = None
+    time_limit: float | str | None = Field(None, description="seconds, or as in 90s, 10m, 1.5h")
+    memory_limit: int | str | None = Field(None, description="bytes, or as in 500MB, 2GB, 1.5GiB")
 
 
 class JobShape(JobDefaults):

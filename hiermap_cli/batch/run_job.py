@@ -1,0 +1,235 @@
+"""One job from its log to its folder: what a worker does."""
+
+from __future__ import annotations
+
+import errno
+import re
+import shutil
+import time
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hiermap_cli.batch.content import (
+    Known,
+    Record,
+    content_digest,
+    file_state,
+    fixed_digest,
+    look,
+    read_record,
+)
+from hiermap_cli.batch.evaluate_run import EVAL, evaluate_run, write_eval
+from hiermap_cli.batch.job import EVALUATED_BY, Job, Outcome, failed, too_much_memory
+from hiermap_cli.batch.memory import peak_bytes
+from hiermap_cli.batch.remote import fetch, remote_state, remove, shown
+from hiermap_cli.batch.run_log import MappedLog, Observer, RunOutcome
+from hiermap_cli.config import Config
+from hiermap_cli.documents.folder import output_folder
+from hiermap_cli.errors import HiermapError, InputError
+from hiermap_cli.evaluation.limits import parse_limit
+
+if TYPE_CHECKING:
+    from hiermap_cli.documents.eval_file import EvalDocument
+
+MARKS = (Record.NAME,)  # only what a batch has made is replaced by a batch
+_TRACEBACK = 20_000  # characters
+
+
+def run_job(job: Job, folder: Path, workshop: Path, observer: Observer | None = None) -> Outcome:
+    """Runs a job, or finds that it is done.
+
+    Whatever goes wrong is told in the outcome; nothing is raised.
+
+    Args:
+        job: what to do.
+        folder: the batch's folder; the result is `folder / job.name`.
+        workshop: a folder on the same disk for what is not whole yet.
+        observer: is told how the run goes.
+    """
+    begin = time.perf_counter()
+    try:
+        return _Work(job, folder, workshop, observer or Observer(), begin).outcome()
+    except HiermapError as error:
+        reason = _without_workshop(str(error), job, workshop)
+        return failed(job.name, reason, time.perf_counter() - begin)
+    except MemoryError:
+        reason = too_much_memory(job.memory_limit)
+        return failed(job.name, reason, time.perf_counter() - begin)
+    except Exception as error:  # noqa: BLE001 - a fault in one job is no fault of the batch
+        seconds = time.perf_counter() - begin
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return failed(job.name, f"the disk is full ({error.strerror})", seconds)
+        text = "".join(traceback.format_exception(error))[-_TRACEBACK:]
+        reason = f"a fault of the program ({type(error).__name__}: {str(error)[:200]})"
+        return failed(job.name, reason, seconds, text)
+
+
+def _without_workshop(reason: str, job: Job, workshop: Path) -> str:
+    """A reason that names the log and the result as a person knows them."""
+    place = re.escape(str(workshop))
+    reason = re.sub(rf"{place}/\.[^/:]*\.[0-9a-f]{{8}}\b", lambda _: job.name, reason)
+    if job.is_remote:
+        reason = re.sub(rf"{place}/[^/:]*", lambda _: shown(job.log), reason)
+    return reason
+
+
+class _Work:
+    def __init__(
+        self, job: Job, folder: Path, workshop: Path, observer: Observer, begin: float
+    ) -> None:
+        self._job = job
+        self._target = folder / job.name
+        self._workshop = workshop
+        self._observer = observer
+        self._begin = begin
+
+    def outcome(self) -> Outcome:
+        """Done before, or done now.
+
+        Raises:
+            HiermapError: the log cannot be used, or the result not be written.
+        """
+        job = self._job
+        earlier = read_record(self._target)
+        if earlier is not None and earlier.fixed != fixed_digest(job):
+            earlier = None
+        if not job.is_remote:
+            return self._from(Path(job.log), None, earlier)
+        state = remote_state(job.log)
+        if earlier is not None and state is not None and earlier.inputs["log"].state == state:
+            kept = self._kept(earlier, None, state)
+            if kept is not None:
+                return kept
+        self._workshop.mkdir(parents=True, exist_ok=True)
+        self._observer.entered("fetching")
+        fetched = fetch(job.log, self._workshop)
+        try:
+            return self._from(fetched, state, earlier)
+        finally:
+            remove(fetched)
+
+    def _from(self, log: Path, state: Any, earlier: Record | None) -> Outcome:
+        if earlier is not None:
+            kept = self._kept(earlier, log, state)
+            if kept is not None:
+                return kept
+        return self._made(log, state)
+
+    def _kept(self, earlier: Record, log: Path | None, state: Any) -> Outcome | None:
+        """The earlier result, if it was made of the same contents; `log` None: it is known to be.
+
+        The states of the files as they are now are written into its record.
+        """
+        job = self._job
+        now = {}
+        for role, path in job.inputs().items():
+            if role == "log" and log is None:
+                now[role] = earlier.inputs[role]
+                continue
+            now[role] = look(Path(path) if role != "log" or log is None else log)
+        if state is not None:
+            now["log"] = Known(now["log"].sha256, state, now["log"].seen_ns)
+        record = Record(earlier.fixed, now, earlier.row)
+        if record.key != earlier.key:
+            return None
+        _replace(self._target / Record.NAME, record.to_bytes(), self._workshop)
+        return kept_outcome(job.name, earlier.row)
+
+    def _made(self, log: Path, state: Any) -> Outcome:
+        """The job, done."""
+        job = self._job
+        seen_ns = time.time_ns()
+        paths = {role: Path(path) for role, path in job.inputs().items()} | {"log": log}
+        before = {role: file_state(path) for role, path in paths.items()}
+        self._take_away()
+        mapped = MappedLog([log], Config.model_validate(job.config.values), self._observer)
+        # Of a single file the run has hashed the very bytes that it read.
+        known = {"log": mapped.source.sha256} if log.is_file() else {}
+        digests = {role: known.get(role) or content_digest(path) for role, path in paths.items()}
+        with output_folder(
+            self._target, force=True, marks=MARKS, inputs=[log], workshop=self._workshop
+        ) as folder:
+            run = mapped.write(folder)
+            del mapped
+            document = self._evaluated(folder)
+            for role, path in paths.items():
+                if file_state(path) != before[role]:
+                    raise InputError(f"{path}: changed while it was read; it is tried again")
+            if state is not None:
+                before["log"] = state
+            inputs = {role: Known(digests[role], before[role], seen_ns) for role in before}
+            row = self._row(run, document, sorted(one.name for one in folder.iterdir()))
+            record = Record(fixed_digest(job), inputs, row)
+            (folder / Record.NAME).write_bytes(record.to_bytes())
+        return kept_outcome(job.name, row)._replace(kept=False)
+
+    def _take_away(self) -> None:
+        """Removes what a batch has made of other contents, whatever becomes of this job."""
+        if not (self._target / Record.NAME).exists():
+            return
+        self._workshop.mkdir(parents=True, exist_ok=True)
+        aside = self._workshop / "replaced"
+        self._target.rename(aside)
+        shutil.rmtree(aside)
+
+    def _evaluated(self, folder: Path) -> EvalDocument | None:
+        """eval.json, where there is something to evaluate by, or a limit to hold."""
+        job = self._job
+        files = {
+            role: Path(path) for role in EVALUATED_BY if (path := getattr(job, role)) is not None
+        }
+        if not files and not job.limits:
+            return None
+        self._observer.entered("evaluating")
+        limits = [parse_limit(text) for text in job.limits]
+        document = evaluate_run(folder, **files, limits=limits)
+        write_eval(folder / EVAL, document)
+        return document
+
+    def _row(
+        self, run: RunOutcome, document: EvalDocument | None, files: list[str]
+    ) -> dict[str, Any]:
+        """The row of summary.json, but for the name; and what the reports beside it show."""
+        values = {metric.name: metric.value for metric in run.metrics}
+        limits: list[dict[str, Any]] = []
+        if document is not None:
+            values |= document.values()
+            limits = [
+                {"text": one.text, "value": one.value, "passed": one.passed}
+                for one in document.limits
+            ]
+        missed = [one for one in limits if not one["passed"]]
+        return {
+            "status": "limit_missed" if missed else "done",
+            "reason": "; ".join(_missed(one) for one in missed) or None,
+            "metrics": {name: float(value) for name, value in values.items()},
+            "seconds": time.perf_counter() - self._begin,
+            "peak_memory": peak_bytes(),
+            "scans": run.scans,
+            "limits": limits,
+            "warnings": list(run.warnings),
+            "files": files,
+        }
+
+
+def _missed(limit: dict[str, Any]) -> str:
+    value = limit["value"]
+    return f"{limit['text']} is missed: " + (
+        f"it is {value:.6g}" if value is not None else "it could not be measured"
+    )
+
+
+def kept_outcome(name: str, row: dict[str, Any]) -> Outcome:
+    """The outcome that a result's row tells of."""
+    return Outcome(
+        name, row["status"], row["reason"], row["seconds"], row["peak_memory"], kept=True
+    )
+
+
+def _replace(path: Path, data: bytes, workshop: Path) -> None:
+    """Replaces a small file in one step."""
+    workshop.mkdir(parents=True, exist_ok=True)
+    temporary = workshop / path.name
+    temporary.write_bytes(data)
+    temporary.replace(path)
