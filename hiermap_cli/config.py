@@ -208,6 +208,56 @@ class AreaConfig(Section):
     )
 
 
+class LoopConfig(Section):
+    """Loops between fragments of the path, found when the log is known to its end."""
+
+    fragment_path: Positive = Field(5.0, description="metres of path that make a fragment")
+    min_segment: Positive = Field(0.25, description="metres; shorter segments tell nothing")
+    merge_offset: Positive = Field(0.08, description="metres between segments of one wall")
+    merge_angle: Positive = Field(0.08, description="radians between segments of one wall")
+    merge_gap: Positive = Field(0.3, description="metres unseen within one wall")
+    min_wall: Positive = Field(0.3, description="metres of a wall that is matched")
+    min_once: Positive = Field(1.0, description="metres of a wall that one scan alone has seen")
+    chain_inflation: Positive = Field(4.0, description="of the path's variances")
+    chain_floor: NonNegative = Field(0.03, description="metres added for each fragment")
+    chain_floor_angle: NonNegative = Field(0.005, description="radians added for each fragment")
+    near_distance: Positive = Field(6.0, description="metres between fragments that see the same")
+    max_shift: Positive = Field(8.0, description="metres that a loop may move a fragment")
+    max_turn: Positive = Field(0.6, description="radians that a loop may turn a fragment")
+    window_sigmas: Positive = Field(4.0, description="within which a fragment is searched for")
+    gate: Positive = Field(25.0, description="chi-square, 3 degrees, of a cycle that is closed")
+    least_steps: int = Field(2, ge=1, description="fragments between those of a loop, at least")
+    partners: int = Field(12, ge=1, description="earlier fragments that each one is matched with")
+    max_angle: Positive = Field(0.07, description="radians between a wall and the same one")
+    max_offset: Positive = Field(0.12, description="metres between a wall and the same one")
+    least_sine: Positive = Field(0.4, lt=1, description="of the angle between walls not parallel")
+    least_overlap: Positive = Field(0.2, description="metres of a wall on the same one")
+    sigma_wall: Positive = Field(0.03, description="metres; a wall's unevenness, as merged")
+    distinct: Positive = Field(0.4, description="metres between different places")
+    distinct_angle: Positive = Field(0.12, description="radians between different places")
+    min_overlap: Positive = Field(4.0, description="metres of wall on wall that make a loop")
+    min_walls: int = Field(4, ge=2, description="walls of it")
+    min_cross: Positive = Field(0.8, description="metres of it in the direction held least")
+    min_pairs: int = Field(1, ge=1, description="pairs of walls not parallel, none in two pairs")
+    max_crossing: Positive = Field(0.2, lt=1, description="share of beams that cross walls")
+    through: Positive = Field(0.25, description="metres before and behind a wall that is crossed")
+    second: Positive = Field(0.8, le=1, description="the second best place, of the best")
+    loop_inflation: Positive = Field(4.0, description="of a loop's variances")
+    loop_floor: NonNegative = Field(0.03, description="metres added to a loop's sigma")
+    loop_floor_angle: NonNegative = Field(0.01, description="radians added to a loop's sigma")
+    sure_sigma: Positive = Field(
+        0.3, description="metres of sigma of a way that is a witness by itself"
+    )
+    sure_sigma_angle: Positive = Field(0.1, description="radians of sigma, likewise")
+    near_sigma: Positive = Field(
+        0.5, description="metres of sigma between loops that can be witnesses of each other"
+    )
+    near_fragments: int = Field(8, ge=1, description="fragments between such loops, at most")
+    agree_gate: Positive = Field(11.3, description="chi-square of loops that ask for the same")
+    loss_scale: Positive = Field(3.0, description="sigmas at which a loop begins to count less")
+    rounds: int = Field(3, ge=1, description="times that loops are asked for")
+
+
 class RefineConfig(Section):
     """The whole log gone over again, when the filter is through with it."""
 
@@ -267,6 +317,7 @@ class Config(Section):
     areas: AreaConfig = AreaConfig()
     landmarks: LandmarkConfig = LandmarkConfig()
     refine: RefineConfig = RefineConfig()
+    loops: LoopConfig = LoopConfig()
     start_pose: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0), description="x, y, theta of the robot at the first scan, in g"
     )
