@@ -1,0 +1,211 @@
+"""The path cut into fragments of a few metres, each with the walls that were seen on it.
+
+Over some metres of path the filter's poses are true to a few centimetres, whatever has become of
+them over the whole log (design, section 8.4). So the path is cut into fragments that are stiff:
+the robot's poses relative to each other are kept, and every segment of the fragment's key scans
+is merged into its lines. What is not known is how the fragments lie to each other.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import LoopConfig
+    from hiermap_cli.mapping.keyscans import KeyScans
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
+
+MAX_ROUNDS = 60  # lines of a fragment: what is still left then is clutter
+
+
+class Walls(NamedTuple):
+    """The W walls of all fragments, by fragment and the longer ones first, in their frames.
+
+    fragment: (W,). theta: (W,) heading, the free side on the left. normal: (W, 2) unit, to the
+    free side. offset: (W,) of the line along the normal. lo, hi: (W,) extent along the heading,
+    from the foot of the fragment's origin. length: (W,) of the extent that was seen. seen: (W,)
+    key scans. start: (F + 1,) the first wall of each fragment.
+    """
+
+    fragment: Index
+    theta: Array
+    normal: Array
+    offset: Array
+    lo: Array
+    hi: Array
+    length: Array
+    seen: Index
+    start: Index
+
+
+class Fragments(NamedTuple):
+    """F fragments of K key scans.
+
+    first: (F + 1,) the first key scan of each. centre: (F,) the key scan whose pose is the
+    fragment's frame. of_key: (K,). R_f_k: (K, 3) the key scans in the frames of their fragments.
+    points: (S, 2, 2) the ends of all segments, likewise, and scan: (S,) the segments' key scans.
+    walls: what was seen.
+    """
+
+    first: Index
+    centre: Index
+    of_key: Index
+    R_f_k: Array
+    points: Array
+    scan: Index
+    walls: Walls
+
+
+def cut_path(keyscans: KeyScans, poses: Array, config: LoopConfig) -> Index:
+    """The first key scan of each fragment and K behind them: (F + 1,).
+
+    A fragment ends after its length of path, and where the odometry has failed: whether the
+    filter found itself again there is not to be taken for granted.
+    """
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    path = np.concatenate(([0.0], np.cumsum(steps)))
+    broken = np.flatnonzero(~keyscans.trusted)
+    bounds = np.unique(np.concatenate(([0], broken, [len(poses)])))
+    first: list[int] = []
+    for a, b in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        # Equal parts, so that no remainder is left that sees nothing.
+        parts = max(1, round((path[b - 1] - path[a]) / config.fragment_path))
+        at = path[a] + (path[b - 1] - path[a]) * np.arange(parts) / parts
+        first += (a + np.unique(np.searchsorted(path[a:b], at - 1e-9))).tolist()
+    return np.array([*sorted(set(first)), len(poses)], dtype=np.int64)
+
+
+def fragments_of(keyscans: KeyScans, poses: Array, config: LoopConfig) -> Fragments:
+    """Cuts the path of (K, 3) poses in any one frame, and merges what was seen on it."""
+    first = cut_path(keyscans, poses, config)
+    n = len(first) - 1
+    centre = (first[:-1] + first[1:]) // 2
+    of_key = np.repeat(np.arange(n), np.diff(first))
+    R_f_k = se2.between(poses[centre[of_key]], poses)
+    s = keyscans.segments
+    pose = R_f_k[s.scan]
+    turn = se2.rotation(pose[:, 2])
+    points = pose[:, None, :2] + np.einsum("nij,nkj->nki", turn, s.ends)
+    middle = pose[:, :2] + np.einsum("nij,nj->ni", turn, s.centre)
+    theta = se2.wrap(pose[:, 2] + s.theta)
+    walls = _merged(of_key[s.scan], s.scan, middle, theta, points, s.length, n, config)
+    return Fragments(first, centre, of_key, R_f_k, points, s.scan, walls)
+
+
+def _merged(
+    fragment: Index, scan: Index, centre: Array, theta: Array, points: Array, length: Array,
+    count: int, config: LoopConfig,
+) -> Walls:  # fmt: skip
+    """Segments merged into walls: the longest one left leads, those on its line follow.
+
+    All fragments take one line a round, so that the rounds are as many as a fragment has lines.
+    """
+    left = np.flatnonzero(length >= config.min_segment)
+    left = left[np.lexsort((left, -length[left], fragment[left]))]
+    line_of = np.full(len(length), -1, dtype=np.int64)
+    lines: list[Array] = []
+    known = 0
+    for _ in range(MAX_ROUNDS):
+        if not len(left):
+            break
+        head = np.flatnonzero(np.diff(fragment[left], prepend=-1))
+        group = np.repeat(np.arange(len(head)), np.diff(head, append=len(left)))
+        c, t = centre[left[head]], theta[left[head]]
+        on = np.zeros(len(left), dtype=bool)
+        for _ in range(2):
+            on = _on_line(c[group], t[group], theta[left], points[left], config)
+            on[head] = True
+            where = left[on]
+            c, t = _refit(group[on], len(head), c, t, centre[where], theta[where], length[where])
+        line_of[left[on]] = known + group[on]
+        lines.append(np.column_stack((c, t)))
+        known += len(head)
+        left = left[~on]
+    table = np.concatenate(lines) if lines else np.zeros((0, 3))
+    used = np.flatnonzero(line_of >= 0)
+    return _runs(fragment, scan, points, line_of, used, table, count, config)
+
+
+def _on_line(c: Array, t: Array, theta: Array, points: Array, config: LoopConfig) -> Mask:
+    """Which segments lie on the lines through c (n, 2) with headings t (n,)."""
+    normal = np.stack((-np.sin(t), np.cos(t)), axis=-1)
+    across = ((points - c[:, None]) * normal[:, None]).sum(axis=-1)
+    near = np.abs(across).max(axis=1) < config.merge_offset
+    on: Mask = near & (np.abs(se2.wrap(theta - t)) < config.merge_angle)
+    return on
+
+
+def _refit(
+    group: Index, n: int, c: Array, t: Array, centre: Array, theta: Array, length: Array
+) -> tuple[Array, Array]:
+    """Lines of least squares through segments, each a uniform piece of its line."""
+    u = np.stack((np.cos(t), np.sin(t)), axis=-1)[group]
+    d = centre - c[group]
+    x = (d * u).sum(axis=1)
+    y = d[:, 1] * u[:, 0] - d[:, 0] * u[:, 1]
+
+    def total(value: Array) -> Array:
+        return np.asarray(np.bincount(group, length * value, n), dtype=float)
+
+    weight = total(np.ones(len(x)))
+    mean_x, mean_y = total(x) / weight, total(y) / weight
+    inner = np.square(length) / 12.0
+    s_xx = total(np.square(x) + inner) - weight * np.square(mean_x)
+    s_xy = total(x * y + inner * np.sin(theta - t[group])) - weight * mean_x * mean_y
+    slope = s_xy / np.maximum(s_xx, 1e-9)
+    cos, sin = np.cos(t), np.sin(t)
+    moved = c + np.column_stack((cos * mean_x - sin * mean_y, sin * mean_x + cos * mean_y))
+    return moved, se2.wrap(t + np.arctan(slope))
+
+
+def _runs(
+    fragment: Index, scan: Index, points: Array, line_of: Index, used: Index,
+    lines: Array, count: int, config: LoopConfig,
+) -> Walls:  # fmt: skip
+    """The lines cut where nothing was seen of them: a door is no wall."""
+    t = lines[line_of[used], 2]
+    u = np.column_stack((np.cos(t), np.sin(t)))
+    along = (points[used] * u[:, None]).sum(axis=-1)
+    lo, hi = along.min(axis=1), along.max(axis=1)
+    order = np.lexsort((used, lo, line_of[used]))
+    used, lo, hi = used[order], lo[order], hi[order]
+    line = line_of[used]
+    # The farthest end so far on the same line: lines are set far apart from each other.
+    apart = 1e4 * line
+    farthest = np.maximum.accumulate(hi + apart) - apart
+    new = np.ones(len(used), dtype=bool)
+    new[1:] = (line[1:] != line[:-1]) | (lo[1:] > farthest[:-1] + config.merge_gap)
+    head = np.flatnonzero(new)
+    wall = np.cumsum(new) - 1
+    n = len(head)
+    if not n:
+        empty, none = np.zeros(0), np.zeros(0, dtype=np.int64)
+        return Walls(
+            none, empty, np.zeros((0, 2)), empty, empty, empty, empty, none,
+            np.zeros(count + 1, dtype=np.int64),
+        )  # fmt: skip
+    low, high = lo[head], np.maximum.reduceat(hi, head)
+    pairs = np.unique(np.column_stack((wall, scan[used])), axis=0)
+    seen = np.bincount(pairs[:, 0], minlength=n)
+    whose = fragment[used[head]]
+    t = lines[line[head], 2]
+    normal = np.column_stack((-np.sin(t), np.cos(t)))
+    offset = (lines[line[head], :2] * normal).sum(axis=1)
+    extent = high - low
+    # Seen once and short is what walks about, or clutter.
+    keep = (extent >= config.min_wall) & ((seen >= 2) | (extent >= config.min_once))
+    keep = np.flatnonzero(keep)
+    keep = keep[np.lexsort((keep, -extent[keep], whose[keep]))]
+    return Walls(
+        whose[keep], t[keep], normal[keep], offset[keep], low[keep], high[keep], extent[keep],
+        seen[keep], np.searchsorted(whose[keep], np.arange(count + 1)),
+    )  # fmt: skip

@@ -1,0 +1,67 @@
+"""Which fragments may have seen the same: those that lie near each other, or may do so."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.loop_graph import position_variance
+from hiermap_cli.mapping.loop_matching import Candidates, ragged
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import LoopConfig
+    from hiermap_cli.mapping.fragments import Fragments
+    from hiermap_cli.mapping.loop_graph import Edges, Ways
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+
+def candidates(fragments: Fragments, ways: Ways, known: Edges, config: LoopConfig) -> Candidates:
+    """Pairs of fragments to be matched, the earlier one first; known ones are left out.
+
+    Each fragment is matched with no more than `partners` earlier ones, the nearest.
+    """
+    frames = ways.frames
+    n = len(frames)
+    i, j = near_pairs(frames[:, :2], config.near_distance + config.max_shift)
+    keep = j - i > config.least_steps
+    keep &= ~np.isin(i * n + j, known.i * n + known.j)
+    many = np.diff(fragments.walls.start)
+    keep &= (many[i] >= 2) & (many[j] >= 2)
+    i, j = i[keep], j[keep]
+    R, C = se2.between(frames[i], frames[j]), ways.relative(i, j)
+    sigma = np.sqrt(position_variance(C, R))
+    distance = np.hypot(R[:, 0], R[:, 1])
+    reach = np.minimum(config.window_sigmas * sigma, config.max_shift)
+    near = np.flatnonzero(distance < config.near_distance + reach)
+    order = near[np.lexsort((near, distance[near], j[near]))]
+    first = np.searchsorted(j[order], j[order])
+    chosen = np.sort(order[np.arange(len(order)) - first < config.partners])
+    return Candidates(i[chosen], j[chosen], R[chosen], C[chosen])
+
+
+def near_pairs(points: Array, radius: float) -> tuple[Index, Index]:
+    """All pairs i < j of points (n, 2) nearer than the radius, by cells of that size."""
+    n = len(points)
+    cell = np.floor(points / radius).astype(np.int64)
+    cell -= cell.min(axis=0) - 1
+    width = int(cell[:, 1].max()) + 2
+    key = cell[:, 0] * width + cell[:, 1]
+    order = np.argsort(key, kind="stable")
+    left, right = [], []
+    for shift in (-width - 1, -width, -width + 1, -1, 0, 1, width - 1, width, width + 1):
+        begin = np.searchsorted(key[order], key + shift)
+        end = np.searchsorted(key[order], key + shift, side="right")
+        i, at = ragged(end - begin)
+        j = order[begin[i] + at]
+        keep = (i < j) & (np.hypot(*(points[i] - points[j]).T) < radius)
+        left.append(i[keep])
+        right.append(j[keep])
+    i, j = np.concatenate(left), np.concatenate(right)
+    order = np.argsort(i * n + j, kind="stable")
+    return i[order], j[order]

@@ -1,0 +1,98 @@
+"""The path as a chain of fragments: what is known of each one's place by the one before.
+
+Two witnesses: the odometry, and the walls that both have seen. Together they tell how much the
+filter can have gone wrong on the way, and in which direction: along a blank corridor only the
+odometry speaks. The filter's own covariances do not tell it; they are of areas, and the areas
+are larger than what they are true over.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.loop_evidence import evidence
+from hiermap_cli.mapping.loop_graph import Edges, moved
+from hiermap_cli.mapping.loop_matching import Candidates, correspondences
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import Config
+    from hiermap_cli.estimation.noise import NoiseScale
+    from hiermap_cli.mapping.fragments import Fragments
+    from hiermap_cli.mapping.keyscans import KeyScans
+
+    Array = NDArray[np.float64]
+
+
+def step_noise(keyscans: KeyScans, config: Config, noise: NoiseScale) -> Array:
+    """Covariance (K, 3, 3) of each key scan's odometry, in the robot's frame after it.
+
+    The noise of `estimation.motion`, row by row the same; an increment that cannot be true has
+    that of `distrusted`.
+    """
+    c = config.odometry
+    dx, dy, turn = keyscans.increments.T
+    distance, angle = np.hypot(dx, dy), np.abs(turn)
+    var_x = c.sigma_xy_per_sqrt_m**2 * distance + c.sigma_xy_per_sqrt_rad**2 * angle
+    var_t = c.sigma_theta_per_sqrt_m**2 * distance + c.sigma_theta_per_sqrt_rad**2 * angle
+    Q = np.zeros((len(dx), 3, 3))
+    Q[:, 0, 0], Q[:, 1, 1] = var_x, var_x + var_t * np.square(distance) / 3.0
+    Q[:, 1, 2] = Q[:, 2, 1] = np.copysign(0.5 * var_t * distance, dx)
+    Q[:, 2, 2] = var_t
+    Q *= noise.odometry
+    fault = np.square([c.fault_sigma_xy, c.fault_sigma_xy, c.fault_sigma_theta])
+    Q[~keyscans.trusted] += np.diag(fault)
+    return Q
+
+
+def chain(fragments: Fragments, poses: Array, Q: Array, config: Config) -> Edges:
+    """The F - 1 steps from fragment to fragment, as the filter's poses (K, 3) have them.
+
+    Args:
+        fragments: of the path.
+        poses: of the key scans, in g.
+        Q: (K, 3, 3) from `step_noise`.
+        config: the inflation, design section 8.3.
+    """
+    c = config.loops
+    frames = poses[fragments.centre]
+    n = len(frames)
+    i, j = np.arange(n - 1), np.arange(1, n)
+    R = se2.between(frames[i], frames[j])
+    total = np.cumsum(moved(Q, poses), axis=0)[fragments.centre]
+    C = moved(np.diff(total, axis=0), se2.invert(frames[i]))
+    if n > 1:
+        asked = Candidates(i, j, R, np.zeros((n - 1, 3, 3)))
+        pairs = correspondences(fragments.walls, asked, c)
+        seen = evidence(fragments.walls, pairs, n - 1, i, R, c).information
+        C = np.asarray(np.linalg.inv(np.linalg.inv(C) + seen), dtype=float)
+    floor = np.square([c.chain_floor, c.chain_floor, c.chain_floor_angle])
+    # The floor is of where the next fragment lies, not of this one's origin.
+    at = np.column_stack((R[:, :2], np.zeros(n - 1)))
+    return Edges(i, j, R, c.chain_inflation * C + moved(np.diag(floor), at))
+
+
+def carried(fragments: Fragments, poses: Array, frames: Array, Q: Array) -> Array:
+    """The key poses (K, 3) when the fragments have got the frames (F, 3).
+
+    Between the middles of two fragments a key scan goes with both of them: what they disagree
+    about is spread over the way between them by the noise of its steps, so that a step whose
+    odometry has failed takes most of it.
+    """
+    n = len(fragments.centre)
+    corrected = se2.compose(frames[fragments.of_key], fragments.R_f_k)
+    if n < 2:
+        return corrected
+    cost = Q[:, 0, 0] + Q[:, 1, 1] + Q[:, 2, 2] + 1e-12
+    way = np.cumsum(cost)
+    key = np.arange(len(poses))
+    before = np.clip(np.searchsorted(fragments.centre, key, side="right") - 1, 0, n - 2)
+    a, b = fragments.centre[before], fragments.centre[before + 1]
+    share = np.clip((way - way[a]) / (way[b] - way[a]), 0.0, 1.0)
+    with_first = se2.compose(frames[before], se2.between(poses[a], poses))
+    with_second = se2.compose(frames[before + 1], se2.between(poses[b], poses))
+    return se2.interpolate(with_first, with_second, share)

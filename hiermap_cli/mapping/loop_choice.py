@@ -1,0 +1,92 @@
+"""Which of the loops that were found are believed.
+
+One witness is none. Where the way there is known so well that the loop only says the same, the
+way is the second witness; every other loop needs one that joins other fragments to other
+fragments near by and asks for the same correction. Where another correction has nearly as much
+to say for itself, all of them wait.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.mapping.loop_graph import Edges, discrepancy, moved, position_variance
+from hiermap_cli.mapping.loop_matching import ragged
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import LoopConfig
+    from hiermap_cli.mapping.loop_graph import Ways
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
+
+
+class Verdict(NamedTuple):
+    """Of E loops, (E,) each.
+
+    believed: by the way there, or by witnesses. witnesses: other loops that ask for the same,
+    none of which shares a fragment with it. support: metres of overlap that speak for its
+    correction. rival: of the correction nearest to it in support that contradicts it.
+    """
+
+    believed: Mask
+    witnesses: Index
+    support: Array
+    rival: Array
+
+
+def judge(loops: Edges, overlap: Array, ways: Ways, config: LoopConfig) -> Verdict:
+    """Judges E loops by the way there and by each other.
+
+    Args:
+        loops: what they say.
+        overlap: (E,) metres of wall on wall.
+        ways: how well the fragments know of each other without them.
+        config: thresholds.
+    """
+    e, f = _comparable(loops, ways, config)
+    asked = discrepancy(ways.frames, loops)
+    C = moved(loops.C_i_j, ways.frames[loops.i])
+    back = moved(ways.relative(loops.i[e], loops.i[f]), ways.frames[loops.i[e]])
+    back += moved(ways.relative(loops.j[e], loops.j[f]), ways.frames[loops.j[e]])
+    r = asked[e] - asked[f]
+    distance = np.einsum("ni,nij,nj->n", r, np.linalg.inv(C[e] + C[f] + back), r)
+    agree = distance < config.agree_gate
+    against = distance > config.gate
+    n = len(loops.i)
+    support = overlap + _sum(agree, e, overlap[f], n) + _sum(agree, f, overlap[e], n)
+    apart = agree & (loops.i[e] != loops.i[f]) & (loops.j[e] != loops.j[f])
+    witnesses = np.bincount(e[apart], minlength=n) + np.bincount(f[apart], minlength=n)
+    rival = np.zeros(n)
+    np.maximum.at(rival, e[against], support[f[against]])
+    np.maximum.at(rival, f[against], support[e[against]])
+    known = ways.relative(loops.i, loops.j)
+    near = position_variance(known, loops.R_i_j) < config.sure_sigma**2
+    near &= known[:, 2, 2] < config.sure_sigma_angle**2
+    believed = (near | (witnesses > 0)) & (rival < config.second * support)
+    return Verdict(believed, witnesses, support, rival)
+
+
+def _comparable(loops: Edges, ways: Ways, config: LoopConfig) -> tuple[Index, Index]:
+    """Pairs of loops whose ends know of each other well enough to compare what they ask for."""
+    order = np.argsort(loops.j, kind="stable")
+    end = np.searchsorted(loops.j[order], loops.j[order] + config.near_fragments, side="right")
+    first, ahead = ragged(end - np.arange(len(order)) - 1)
+    e, f = order[first], order[first + 1 + ahead]
+    keep = np.ones(len(e), dtype=bool)
+    for a, b in ((loops.i[e], loops.i[f]), (loops.j[e], loops.j[f])):
+        C = ways.relative(a, b)
+        R = ways.frames[b] - ways.frames[a]
+        cos, sin = np.cos(ways.frames[a, 2]), np.sin(ways.frames[a, 2])
+        at = np.column_stack((cos * R[:, 0] + sin * R[:, 1], cos * R[:, 1] - sin * R[:, 0]))
+        keep &= position_variance(C, at) < config.near_sigma**2
+    return e[keep], f[keep]
+
+
+def _sum(where: Mask, index: Index, value: Array, n: int) -> Array:
+    return np.asarray(np.bincount(index[where], value[where], n), dtype=float)
