@@ -262,6 +262,25 @@ class RefineConfig(Section):
     """The whole log gone over again, when the filter is through with it."""
 
     enabled: bool = Field(True, description="false: the filter alone (--no-refine)")
+    scales: tuple[Positive, ...] = Field(
+        (3.0, 1.7, 1.0), description="of the offsets below, in each round of matching"
+    )
+    steps: int = Field(3, ge=1, description="of Gauss-Newton for each matching, at most")
+    converged: Positive = Field(1e-4, description="metres and radians; a smaller step is the last")
+    min_length: Positive = Field(0.3, description="metres; a segment that may be matched")
+    match_angle: Positive = Field(0.1, description="radians between a segment and its wall")
+    match_offset: Positive = Field(0.12, description="metres between a segment and its wall")
+    overlap: Positive = Field(0.5, le=1, description="of a segment's length, with its wall")
+    merge_angle: Positive = Field(0.06, description="radians between walls that are one")
+    merge_offset: Positive = Field(0.08, description="metres between walls that are one")
+    merge_overlap: Positive = Field(0.3, le=1, description="of the shorter wall, with the other")
+    least_seen: int = Field(3, ge=2, description="sightings of a wall that is kept")
+    end_gap: Positive = Field(0.1, description="metres between places where a wall ends")
+    end_width: Positive = Field(0.4, description="metres; one end is seen nowhere wider")
+    end_seen: int = Field(3, ge=2, description="sightings of an end that is kept")
+    gate_odometry: Positive = Field(11.3, description="chi-square beyond which a step counts less")
+    gate_wall: Positive = Field(9.2, description="chi-square beyond which a segment counts less")
+    gate_end: Positive = Field(6.6, description="chi-square beyond which an end counts less")
 
 
 class LandmarkConfig(Section):

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiermap_cli.errors import InputError
 from hiermap_cli.estimation import motion as odometry_model
 from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.doors import between_faces, door_in_g
 from hiermap_cli.mapping.found_areas import FoundArea, find_areas
 from hiermap_cli.mapping.landmarks import landmark_model
-from hiermap_cli.mapping.levels import Levels, compose_levels
 from hiermap_cli.mapping.metrics import metric
 from hiermap_cli.mapping.model import (
     AreaModel,
@@ -34,6 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hiermap_cli.mapping.levels import Levels
     from hiermap_cli.mapping.mapper import Mapper
     from hiermap_cli.mapping.model import LandmarkModel
     from hiermap_cli.mapping.portals import Portal
@@ -41,18 +40,15 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-def assemble(mapper: Mapper, laser_x: float = 0.0) -> MapResult:
+def assemble(mapper: Mapper, by_filter: Levels, levels: Levels, laser_x: float = 0.0) -> MapResult:
     """The three levels and the trajectory of a mapper that has taken in the whole log.
 
-    laser_x: metres from the robot's origin ahead to the laser, as the log has it.
-
-    Raises:
-        InputError: it has not taken in a single scan.
+    Args:
+        mapper: with its areas as they are now known.
+        by_filter: the levels by the filter alone.
+        levels: those of the result.
+        laser_x: metres from the robot's origin ahead to the laser, as the log has it.
     """
-    if not mapper.areas:
-        raise InputError("the log holds no scan to map; `hiermap inspect` shows what it holds")
-    mapper.finish()
-    levels = compose_levels(mapper)
     frames = se2.compose(levels.frames, se2.invert(levels.shifts))
     rooms = decide(
         mapper.areas, mapper.portals, mapper.crossings.places, frames,
@@ -66,7 +62,7 @@ def assemble(mapper: Mapper, laser_x: float = 0.0) -> MapResult:
     return MapResult(
         model=HierarchicalModel(_environment(levels, found, doors), areas, landmarks),
         trajectory=levels.trajectory,
-        trajectory_filter=levels.trajectory,
+        trajectory_filter=by_filter.trajectory,
         events=_events(mapper, rooms, doors),
         metrics=(*_metrics(mapper, found, laser_x), *trust.metrics()),
         timing={},

@@ -69,7 +69,7 @@ def compose_levels(mapper: Mapper) -> Levels:
     anchors, index = _anchors(areas)
     links = [Link(p.a, index[p.a][p.anchor_a], p.b, index[p.b][p.anchor_b]) for p in mapper.portals]
     environment = compose_environment(anchors, links, start, np.zeros((3, 3)))
-    shifts = _door_frames(len(areas), mapper.portals)
+    shifts = door_frames(len(areas), mapper.portals)
     maps = tuple(
         change_frame(_corrected(area, anchors[i], environment, i), shifts[i])
         for i, area in enumerate(areas)
@@ -126,7 +126,7 @@ def _anchors(areas: Sequence[AreaMap]) -> tuple[list[Anchors], list[dict[int, in
     return anchors, index
 
 
-def _door_frames(areas: int, portals: Sequence[Portal]) -> Array:
+def door_frames(areas: int, portals: Sequence[Portal]) -> Array:
     """Where each area's door lies in the frame that it was filtered in, (K, 3).
 
     A new area begins at its anchor, which is its frame's origin and exactly known there.

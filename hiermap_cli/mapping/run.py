@@ -6,8 +6,11 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from hiermap_cli.errors import InputError
 from hiermap_cli.mapping.assembly import assemble
+from hiermap_cli.mapping.levels import compose_levels
 from hiermap_cli.mapping.mapper import run_filter
+from hiermap_cli.mapping.refinement.refine import refine
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -32,8 +35,16 @@ def map_log(
     """
     mounts: list[float] = []
     mapper, timing = run_filter(_mounted(blocks, mounts), config, progress)
+    if not mapper.areas:
+        raise InputError("the log holds no scan to map; `hiermap inspect` shows what it holds")
     begin = time.process_time()
-    result = assemble(mapper, laser_x=mounts[0] if mounts else 0.0)
+    levels = by_filter = compose_levels(mapper)
+    if config.refine.enabled:
+        refined = refine(mapper, by_filter)
+        mapper.areas[:], levels = refined.areas, refined.levels
+    timing["refinement"] = time.process_time() - begin
+    begin = time.process_time()
+    result = assemble(mapper, by_filter, levels, laser_x=mounts[0] if mounts else 0.0)
     return replace(result, timing={**timing, "assembly": time.process_time() - begin})
 
 

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     Index = NDArray[np.int64]
 
 
+ALIKE = 0.15  # of a front's size, by which it may grow so that one more group goes with it
+
+
 class Piece(NamedTuple):
     """A term of the normal equations `H x = g` over the variables `index` (n,), sorted."""
 
@@ -62,66 +65,91 @@ class Plan(NamedTuple):
 def plan(pieces: Sequence[Index], groups: Sequence[Index], last: Sequence[int] = ()) -> Plan:
     """A good order of elimination: always the group with the smallest front (minimum degree).
 
+    Groups whose own front holds hardly more are eliminated with it.
+
     Args:
         pieces: the variables of each piece, sorted.
         groups: variables that are eliminated together; each in one group only.
         last: groups to be eliminated after all others, in this order.
     """
-    total = 1 + max((int(g.max()) for g in groups if len(g)), default=-1)
-    group_of = np.full(total, -1)
-    for k, g in enumerate(groups):
-        group_of[g] = k
-    size = [len(g) for g in groups]
-    inside = [set(np.unique(group_of[index]).tolist()) for index in pieces]
-    holding: list[set[int]] = [set() for _ in groups]
-    for p, members in enumerate(inside):
-        for k in members:
-            holding[k].add(p)
-
-    def front(k: int) -> set[int]:
-        return set().union(*(inside[p] for p in holding[k]))
-
-    def degree(k: int) -> int:
-        return sum(size[j] for j in front(k))
-
-    waiting = [(degree(k), k) for k in range(len(groups)) if k not in set(last)]
+    graph = _Graph(pieces, groups)
+    final = set(last)
+    waiting = [(graph.degree(k), k) for k in range(len(groups)) if k not in final]
     heapq.heapify(waiting)
-    own, index, joined, maker = [], [], [], {}
-    done: set[int] = set()
-
-    def take(k: int) -> None:
-        members = front(k)
-        members.add(k)
-        done.add(k)
-        new = len(inside)
-        maker[new] = len(own)
-        own.append(groups[k])
-        index.append(np.sort(np.concatenate([groups[j] for j in members])))
-        joined.append(tuple(sorted(holding[k])))
-        used = set(holding[k])
-        members.discard(k)
-        inside.append(members)
-        for j in members:
-            holding[j] -= used
-            holding[j].add(new)
-
     while waiting:
         d, k = heapq.heappop(waiting)
-        if k in done:
+        if k in graph.done:
             continue
-        now = degree(k)
+        now = graph.degree(k)
         if now > d and waiting and now > waiting[0][0]:
             heapq.heappush(waiting, (now, k))
             continue
-        take(k)
+        graph.take(k, final)
     for k in last:
-        take(k)
-    parent = [-1] * len(own)
-    for f, numbers in enumerate(joined):
-        for p in numbers:
-            if p in maker:
-                parent[maker[p]] = f
-    return Plan(tuple(own), tuple(index), tuple(joined), tuple(parent))
+        graph.take(k, final)
+    return graph.finished()
+
+
+class _Graph:
+    """Groups and the pieces that hold them, while groups are eliminated."""
+
+    def __init__(self, pieces: Sequence[Index], groups: Sequence[Index]) -> None:
+        group_of = np.empty(1 + max(int(g.max()) for g in groups), dtype=np.int64)
+        for k, g in enumerate(groups):
+            group_of[g] = k
+        self.groups = groups
+        self.done: set[int] = set()
+        self._size = [len(g) for g in groups]
+        self._inside = [set(np.unique(group_of[index]).tolist()) for index in pieces]
+        self._holding: list[set[int]] = [set() for _ in groups]
+        for p, members in enumerate(self._inside):
+            for k in members:
+                self._holding[k].add(p)
+        self._own: list[Index] = []
+        self._index: list[Index] = []
+        self._joined: list[tuple[int, ...]] = []
+        self._maker: dict[int, int] = {}
+
+    def degree(self, k: int) -> int:
+        """The size of a group's front."""
+        return sum(self._size[j] for j in self._front(k))
+
+    def take(self, k: int, final: set[int]) -> None:
+        """Eliminate a group, with those that cost hardly more together than apart."""
+        members = self._front(k) | {k}
+        size = sum(self._size[j] for j in members)
+        own, used = [k], set(self._holding[k])
+        for j in sorted(members - {k} - final):
+            more = self._front(j) - members
+            if sum(self._size[i] for i in more) <= ALIKE * size:
+                own.append(j)
+                used |= self._holding[j]
+                members |= more
+        new = len(self._inside)
+        self._maker[new] = len(self._own)
+        self._own.append(np.sort(np.concatenate([self.groups[j] for j in own])))
+        self._index.append(np.sort(np.concatenate([self.groups[j] for j in members])))
+        self._joined.append(tuple(sorted(used)))
+        self.done |= set(own)
+        rest = members - set(own)
+        self._inside.append(rest)
+        for p in used:
+            for j in self._inside[p] & rest:
+                self._holding[j].discard(p)
+        for j in rest:
+            self._holding[j].add(new)
+
+    def finished(self) -> Plan:
+        """The plan, when all groups are eliminated."""
+        parent = [-1] * len(self._own)
+        for f, numbers in enumerate(self._joined):
+            for p in numbers:
+                if p in self._maker:
+                    parent[self._maker[p]] = f
+        return Plan(tuple(self._own), tuple(self._index), tuple(self._joined), tuple(parent))
+
+    def _front(self, k: int) -> set[int]:
+        return set().union(*(self._inside[p] for p in self._holding[k]))
 
 
 class Factor(NamedTuple):

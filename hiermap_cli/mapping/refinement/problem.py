@@ -1,0 +1,283 @@
+"""The least-squares problem over key poses, walls, wall ends and the odometry's calibration.
+
+Errors are small steps: of a key pose `X <- X exp(xi)` in the robot's frame, of a wall its shift
+b along its normal and its turn phi about its origin, of an end its place x along its wall. The
+residuals are those of the filter: where a segment lies across its wall and how it is turned
+against it, where an end lies along it, and what the odometry says of two key scans on end.
+
+The robot's frame is the one from which the log's mount leads to the laser; the point about which
+odometry turns lies `laser_x` behind it, as far as that mount is wrong.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.estimation.motion import LASER_X, PARAMETERS
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.refinement.odometry import motions
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import FilterConfig, OdometryConfig
+    from hiermap_cli.estimation.noise import NoiseScale
+    from hiermap_cli.mapping.keyscans import KeyScans, ScanSegments
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
+
+
+class Walls(NamedTuple):
+    """W walls: poses (W, 3) in g, X along the wall and the free side on its left, and extents."""
+
+    poses: Array
+    lo: Array
+    hi: Array
+
+
+class Ends(NamedTuple):
+    """E wall ends: wall (E,), side (E,) 0 at the low end and 1 at the high one, x (E,) along it."""
+
+    wall: Index
+    side: Index
+    x: Array
+
+
+class State(NamedTuple):
+    """What is estimated. poses: (K, 3) of the key scans in g. parameters: (4,)."""
+
+    poses: Array
+    parameters: Array
+    walls: Walls
+    ends: Ends
+
+
+class Matched(NamedTuple):
+    """Which segment shows which wall, and which of its ends which end; a and b of them."""
+
+    segment: Index
+    wall: Index
+    end_segment: Index
+    end_side: Index
+    end: Index
+
+
+class Noise(NamedTuple):
+    """Variances of all S segments: across the wall, of the heading, of both ends along it."""
+
+    across: Array
+    heading: Array
+    ends: Array
+
+
+class Terms(NamedTuple):
+    """Residuals of one kind, n of them with r rows over k variables each.
+
+    scan: (n,) key scan to which each belongs. index: (n, k) variables. J: (n, r, k). e: (n, r).
+    information: (n, r, r), robust weight included. chi2: (n,) without the robust weight.
+    """
+
+    scan: Index
+    index: Index
+    J: Array
+    e: Array
+    information: Array
+    chi2: Array
+
+
+class Layout(NamedTuple):
+    """Where variables stand in the vector of all: K poses, the parameters, W walls, E ends."""
+
+    keys: int
+    walls: int
+    ends: int
+
+    @property
+    def parameters(self) -> int:
+        """The first parameter."""
+        return 3 * self.keys
+
+    @property
+    def size(self) -> int:
+        """Number of variables."""
+        return 3 * self.keys + PARAMETERS + 2 * self.walls + self.ends
+
+    def pose(self, i: Index) -> Index:
+        """(n, 3) of key poses."""
+        return np.asarray(3 * i[:, None] + np.arange(3))
+
+    def wall(self, w: Index) -> Index:
+        """(n, 2), shift and turn, of walls."""
+        return np.asarray(3 * self.keys + PARAMETERS + 2 * w[:, None] + np.arange(2))
+
+    def end(self, e: Index) -> Index:
+        """(n, 1) of ends."""
+        return np.asarray(3 * self.keys + PARAMETERS + 2 * self.walls + e[:, None])
+
+
+def layout(state: State) -> Layout:
+    """Of a state's variables."""
+    return Layout(len(state.poses), len(state.walls.poses), len(state.ends.x))
+
+
+def segment_noise(segments: ScanSegments, config: FilterConfig, noise: NoiseScale) -> Noise:
+    """As the filter has it at the end of the log (`with_noise`)."""
+    var = noise.walls * config.wall_sigma**2
+    heading = noise.laser * segments.var_theta + noise.walls * config.wall_sigma_theta**2
+    return Noise(
+        across=noise.laser * segments.var_y + var,
+        heading=heading + var / np.square(np.maximum(segments.length, 0.1)),
+        ends=np.square(segments.end_sigma) + noise.walls * config.end_sigma**2,
+    )
+
+
+def robust_weight(chi2: Array, gate: float) -> Array:
+    """1 up to the gate, then falling with chi2: Gaussian noise is left alone, outliers are not."""
+    return np.asarray(gate / np.maximum(chi2, gate))
+
+
+def in_g(state: State, segments: ScanSegments, which: Index, points: Array) -> Array:
+    """Points (n, 2) of the robot's frame at some segments' scans, in g."""
+    X = state.poses[segments.scan[which]]
+    c, s = np.cos(X[:, 2]), np.sin(X[:, 2])
+    x, y = points.T
+    return np.column_stack((X[:, 0] + c * x - s * y, X[:, 1] + s * x + c * y))
+
+
+def wall_terms(
+    state: State, segments: ScanSegments, noise: Noise, matched: Matched, gate: float
+) -> Terms:
+    """Each matched segment's centre across its wall, and its heading against it."""
+    where, s, w = layout(state), matched.segment, matched.wall
+    i = segments.scan[s]
+    n, k = len(s), 3 + 2
+    W, theta = state.walls.poses[w], state.poses[i, 2]
+    d = in_g(state, segments, s, segments.centre[s]) - W[:, :2]
+    c, sn = np.cos(W[:, 2]), np.sin(W[:, 2])
+    e = np.empty((n, 2))
+    e[:, 0] = c * d[:, 1] - sn * d[:, 0]
+    e[:, 1] = se2.wrap(theta + segments.theta[s] - W[:, 2])
+    J = np.zeros((n, 2, k))
+    # The wall's normal in the robot's frame.
+    n_x, n_y = np.sin(theta - W[:, 2]), np.cos(theta - W[:, 2])
+    x, y = segments.centre[s].T
+    J[:, 0, 0], J[:, 0, 1], J[:, 0, 2] = n_x, n_y, n_y * x - n_x * y
+    J[:, 1, 2] = 1.0
+    J[:, 0, 3], J[:, 0, 4] = -1.0, -(c * d[:, 0] + sn * d[:, 1])
+    J[:, 1, 4] = -1.0
+    index = np.concatenate((where.pose(i), where.wall(w)), axis=1)
+    weight = 1.0 / np.column_stack((noise.across[s], noise.heading[s]))
+    chi2 = np.einsum("nr,nr->n", e * weight, e)
+    weight *= robust_weight(chi2, gate)[:, None]
+    return Terms(i, index, J, e, _diagonal(weight), chi2)
+
+
+def end_terms(
+    state: State, segments: ScanSegments, noise: Noise, matched: Matched, gate: float
+) -> Terms:
+    """Each matched end along its wall."""
+    where, s, side = layout(state), matched.end_segment, matched.end_side
+    i, end = segments.scan[s], matched.end
+    w = state.ends.wall[end]
+    W, theta = state.walls.poses[w], state.poses[i, 2]
+    point = segments.ends[s, side]
+    d = in_g(state, segments, s, point) - W[:, :2]
+    c, sn = np.cos(W[:, 2]), np.sin(W[:, 2])
+    e = (c * d[:, 0] + sn * d[:, 1] - state.ends.x[end])[:, None]
+    J = np.zeros((len(s), 1, 3 + 1 + 1))
+    t_x, t_y = np.cos(theta - W[:, 2]), -np.sin(theta - W[:, 2])
+    x, y = point.T
+    J[:, 0, 0], J[:, 0, 1], J[:, 0, 2] = t_x, t_y, t_y * x - t_x * y
+    J[:, 0, 3] = c * d[:, 1] - sn * d[:, 0]
+    J[:, 0, 4] = -1.0
+    index = np.concatenate((where.pose(i), where.wall(w)[:, 1:], where.end(end)), axis=1)
+    weight = 1.0 / noise.ends[s, side]
+    chi2 = np.square(e[:, 0]) * weight
+    weight = weight * robust_weight(chi2, gate)
+    return Terms(i, index, J, e, weight[:, None, None], chi2)
+
+
+def odometry_terms(
+    state: State, keyscans: KeyScans, config: OdometryConfig, factor: float, gate: float
+) -> Terms:
+    """Two key scans on end: the step between them against the calibrated odometry.
+
+    The parameters act on the step that was made, not on what odometry says of it: its noise
+    would be in the regressor too, and make the scale too small (errors in variables).
+    """
+    where = layout(state)
+    # Of the point about which odometry turns: L D L^-1.
+    D = se2.between(state.poses[:-1], state.poses[1:])
+    L = np.array([state.parameters[LASER_X], 0.0, 0.0])
+    step = se2.compose(se2.compose(L, D), se2.invert(L))
+    told = keyscans.increments[1:]
+    n = len(step)
+    M = motions(told, state.parameters, config)
+    e = se2.log(se2.compose(se2.invert(M.pose), step))
+    made = motions(uncalibrated(step, told, state.parameters), state.parameters, config)
+    Q = factor * made.covariance
+    by_parameters = made.by_parameters
+    Ad_L = se2.adjoint(L)
+    turned = Ad_L @ (se2.adjoint(se2.invert(D)) - np.eye(3))
+    by_parameters[:, :, LASER_X] = -turned[:, :, 0]
+    failed = ~keyscans.trusted[1:]
+    if failed.any():
+        spread = np.square([config.fault_sigma_xy, config.fault_sigma_xy, config.fault_sigma_theta])
+        Q[failed] += np.diag(spread)
+        by_parameters[failed] = 0.0
+    J = np.concatenate(
+        (-se2.adjoint(se2.invert(step)) @ Ad_L, np.broadcast_to(Ad_L, (n, 3, 3)), -by_parameters),
+        axis=2,
+    )
+    i = np.arange(n)
+    parameters = where.parameters + np.arange(PARAMETERS)
+    index = np.concatenate(
+        (where.pose(i), where.pose(i + 1), np.broadcast_to(parameters, (n, PARAMETERS))), axis=1
+    )
+    information = np.linalg.inv(Q)
+    chi2 = np.einsum("ni,nij,nj->n", e, information, e)
+    information *= robust_weight(chi2, gate)[:, None, None]
+    return Terms(i, index, J, e, information, chi2)
+
+
+def uncalibrated(step: Array, told: Array, parameters: Array) -> Array:
+    """The increments (n, 3) that odometry without noise would have told of these steps.
+
+    A step that is much shorter than what was told is no better a measure of the noise than the
+    half of it.
+    """
+    a, b, c = parameters[:3]
+    dx, dy = step[:, 0] / (1.0 + a), step[:, 1] / (1.0 + a)
+    dtheta = (step[:, 2] - c * dx) / (1.0 + b)
+    short = np.hypot(dx, dy) < 0.5 * np.hypot(told[:, 0], told[:, 1])
+    dx, dy = np.where(short, 0.5 * told[:, 0], dx), np.where(short, 0.5 * told[:, 1], dy)
+    little = np.abs(dtheta) < 0.5 * np.abs(told[:, 2])
+    return np.column_stack((dx, dy, np.where(little, 0.5 * told[:, 2], dtheta)))
+
+
+def stepped(state: State, x: Array) -> State:
+    """The state after a step x of all its variables."""
+    where = layout(state)
+    first = where.parameters
+    walls = x[first + PARAMETERS : first + PARAMETERS + 2 * where.walls].reshape(-1, 2)
+    W = state.walls.poses.copy()
+    W[:, 0] -= np.sin(W[:, 2]) * walls[:, 0]
+    W[:, 1] += np.cos(W[:, 2]) * walls[:, 0]
+    W[:, 2] = se2.wrap(W[:, 2] + walls[:, 1])
+    return State(
+        poses=se2.compose(state.poses, se2.exp(x[:first].reshape(-1, 3))),
+        parameters=state.parameters + x[first : first + PARAMETERS],
+        walls=state.walls._replace(poses=W),
+        ends=state.ends._replace(x=state.ends.x + x[first + PARAMETERS + 2 * where.walls :]),
+    )
+
+
+def _diagonal(weight: Array) -> Array:
+    out = np.zeros((*weight.shape, weight.shape[1]))
+    k = np.arange(weight.shape[1])
+    out[:, k, k] = weight
+    return out

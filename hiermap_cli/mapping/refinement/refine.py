@@ -1,0 +1,147 @@
+"""The whole log again: loops, then poses, walls, ends and calibration solved together.
+
+With the topology settled by the filter, its matches begin the walls; the poses are solved with
+them, what then lies on one line becomes one wall, and so on from coarse to fine. The filter's
+areas are then seen anew in the solution.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.estimation.motion import LASER_X
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.area_map import ANCHOR
+from hiermap_cli.mapping.levels import Levels, change_frame, door_frames
+from hiermap_cli.mapping.refinement.matches import (
+    all_matches,
+    filter_labels,
+    fit_walls,
+    match_segments,
+    merge_walls,
+    placed,
+)
+from hiermap_cli.mapping.refinement.problem import Ends, State, Walls, layout, segment_noise
+from hiermap_cli.mapping.refinement.rebuild import area_map, sightings
+from hiermap_cli.mapping.refinement.smoothing import smooth
+from hiermap_cli.mapping.refinement.track import whole_trajectory
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import Config
+    from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.mapping.keyscans import KeyScans
+    from hiermap_cli.mapping.mapper import Mapper
+    from hiermap_cli.mapping.refinement.problem import Matched, Noise
+    from hiermap_cli.mapping.refinement.smoothing import Solution
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+
+class Refined(NamedTuple):
+    """The filter's areas and levels, out of the solution of the whole log."""
+
+    areas: list[AreaMap]
+    levels: Levels
+    solution: Solution
+    matched: Matched
+
+
+def refine(mapper: Mapper, levels: Levels) -> Refined:
+    """Goes over the log again, from what the filter made of it.
+
+    Raises:
+        numpy.linalg.LinAlgError: the log does not determine the problem.
+    """
+    config, keyscans = mapper.config, mapper.keyscans.taken()
+    parameters = mapper.area.V.parameters.copy()
+    L = np.array([parameters[LASER_X], 0.0, 0.0])
+    poses = se2.compose(levels.trajectory.poses[np.array(mapper.trail.key_at)], L)
+    start = np.array(config.start_pose)
+    poses = se2.compose(start, se2.between(poses[0], poses))
+    nothing = np.zeros(0, dtype=np.int64)
+    state = State(
+        poses,
+        parameters,
+        Walls(np.zeros((0, 3)), np.zeros(0), np.zeros(0)),
+        Ends(nothing, nothing, np.zeros(0)),
+    )
+    noise = segment_noise(keyscans.segments, config.filter, mapper.noise)
+    solution, matched = solve(state, keyscans, noise, mapper.noise.odometry, config)
+    areas, refined = _seen_anew(mapper, keyscans, solution, matched)
+    return Refined(areas, refined, solution, matched)
+
+
+def solve(
+    state: State, keyscans: KeyScans, noise: Noise, odometry: float, config: Config
+) -> tuple[Solution, Matched]:
+    """Walls out of the filter's matches, merged and solved for from coarse to fine."""
+    c, s = config.refine, keyscans.segments
+    tracks = filter_labels(keyscans)
+    n = int(tracks.max(initial=-1)) + 1
+    for k, scale in enumerate(c.scales):
+        where = placed(state, s)
+        one = merge_walls(fit_walls(where, tracks, s.length, n), scale * c.merge_offset, c)
+        labels = np.where(tracks >= 0, one[tracks], -1)
+        count = int(one.max(initial=-1)) + 1
+        walls = fit_walls(where, labels, s.length, count)
+        labels = match_segments(walls, where, s, scale * c.match_offset, c)
+        state = state._replace(walls=fit_walls(where, labels, s.length, count))
+        state, matched = all_matches(state, labels, s, noise, c)
+        last = k + 1 == len(c.scales)
+        solution = smooth(state, keyscans, noise, matched, config, odometry, last=last)
+        state = solution.state
+    return solution, matched
+
+
+def _seen_anew(
+    mapper: Mapper, keyscans: KeyScans, solution: Solution, matched: Matched
+) -> tuple[list[AreaMap], Levels]:
+    state, where = solution.state, layout(solution.state)
+    frames = _frame_keys(mapper)
+    last = frames.copy()
+    np.maximum.at(last, keyscans.area, np.arange(len(keyscans.area)))
+    least = mapper.config.landmarks.least_seen
+    areas = [
+        area_map(
+            area,
+            int(frames[i]),
+            int(last[i]),
+            sightings(i, keyscans, state, matched, area.next_uid, least),
+            solution,
+        )
+        for i, area in enumerate(mapper.areas)
+    ]
+    shifts = door_frames(len(areas), mapper.portals)
+    end = len(keyscans.area) - 1
+    keys = np.concatenate(([end], frames))
+    J = np.zeros((3 * len(keys), 3 * len(keys)))
+    for i, block in enumerate(se2.adjoint(state.poses[keys])):
+        J[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = block
+    C = solution.factor.covariance(J, where.pose(keys).ravel())
+    trajectory, robot, extra = whole_trajectory(mapper, solution)
+    C[:3, :3] += extra
+    return areas, Levels(
+        maps=tuple(change_frame(area.V, shifts[i]) for i, area in enumerate(areas)),
+        frames=se2.compose(state.poses[frames], shifts),
+        covariance=C,
+        robot=robot,
+        shifts=shifts,
+        trajectory=trajectory,
+    )
+
+
+def _frame_keys(mapper: Mapper) -> Index:
+    """The key scan at which each area's frame lies: where the robot was when it began it."""
+    keys = np.zeros(len(mapper.areas), dtype=np.int64)
+    entered = {0}
+    for portal in mapper.portals:
+        if portal.b not in entered:
+            entered.add(portal.b)
+            f = mapper.areas[portal.b].features
+            keys[portal.b] = f.last[(f.kind == ANCHOR) & (f.uid == portal.anchor_b)][0]
+    return keys
