@@ -87,6 +87,34 @@ class OdometryConfig(Section):
     prior_laser_x: NonNegative = Field(0.1, description="metres, error of the laser's x")
 
 
+class OdometryFaultConfig(Section):
+    """When odometry is taken to lie."""
+
+    turning_speed: Positive = Field(0.15, description="m/s, below which a robot may turn about")
+    poor_share: NonNegative = Field(0.6, le=1, description="of a scan's segments; fewer match ill")
+    poor_nis: Positive = Field(2.5, description="a row of a scan; a larger one matches ill")
+    clear: Positive = Field(15.0, description="of chi-square, for one hypothesis to be the truth")
+    shown: Positive = Field(
+        25.0, description="of chi-square that would have shown if odometry had the wrong sign"
+    )
+    share: NonNegative = Field(0.1, description="of what fits ill at best, more to be clear")
+    min_path: Positive = Field(0.15, description="metres of path that can tell the direction")
+    backward: Positive = Field(
+        0.1, description="metres told of backing up; such odometry has hardly lost its sign"
+    )
+    max_backward: Positive = Field(
+        1.0, description="metres that a robot backs up where nothing confirms it"
+    )
+    max_path: Positive = Field(4.0, description="metres after which a turning point is forgotten")
+    max_keys: int = Field(30, ge=1, description="key scans after which it is forgotten")
+    missing_change: Positive = Field(
+        0.1, description="metres that a range changes where the robot does not stand"
+    )
+    missing_share: Positive = Field(
+        0.2, le=1, description="of the ranges that change where odometry is missing"
+    )
+
+
 class NoiseConfig(Section):
     """Noise estimated from the log itself, by factors on the variances below."""
 
@@ -327,6 +355,7 @@ class Config(Section):
     laser: LaserConfig = LaserConfig()
     segmentation: SegmentationConfig = SegmentationConfig()
     odometry: OdometryConfig = OdometryConfig()
+    odometry_faults: OdometryFaultConfig = OdometryFaultConfig()
     noise: NoiseConfig = NoiseConfig()
     filter: FilterConfig = FilterConfig()
     association: AssociationConfig = AssociationConfig()

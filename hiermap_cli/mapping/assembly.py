@@ -186,7 +186,7 @@ def _events(mapper: Mapper, rooms: Rooms, doors: dict[int, DoorModel]) -> tuple[
             "crossings": portal.crossings,
         }
         events.append(Event(end, "door_refused", details))
-    return tuple(events)
+    return tuple(sorted(events, key=lambda event: event.stamp_ns))
 
 
 def _metrics(mapper: Mapper, found: Sequence[FoundArea], laser_x: float) -> tuple[Metric, ...]:

@@ -99,6 +99,19 @@ class KeyScanRecord:
             table[:, _LENGTH], table[:, _WALL] = view.length, walls
             self._segments.extend(table)
 
+    def amend(self, increments: Array, walls: Index) -> None:
+        """The last n key scans came about by these increments (n, 3) after all.
+
+        walls: (S,) of all their segments, as for `add`.
+        """
+        self._increments.drop(len(increments))
+        self._increments.extend(increments)
+        if len(walls):
+            table = self._segments[-len(walls) :]
+            table[:, _WALL] = walls
+            self._segments.drop(len(walls))
+            self._segments.extend(table)
+
     def __len__(self) -> int:
         return len(self._stamps)
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,14 +17,16 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_filter import Step, forget_unseen, observe
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap
 from hiermap_cli.mapping.crossing import Crossings, Passing
+from hiermap_cli.mapping.driving import Driving
 from hiermap_cli.mapping.innovations import InnovationLog
 from hiermap_cli.mapping.keyscans import KeyScanRecord
 from hiermap_cli.mapping.model import Event
-from hiermap_cli.mapping.relocation import relocate, robot_found, widened
+from hiermap_cli.mapping.stepping import Stepper, matched_walls
+from hiermap_cli.mapping.stretches import Stretches
 from hiermap_cli.mapping.trail import Trail
 from hiermap_cli.perception.segmentation import segment_block
 from hiermap_cli.perception.sight import sights
-from hiermap_cli.perception.views import scan_views, with_noise
+from hiermap_cli.perception.views import scan_views
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import Config
     from hiermap_cli.logs.records import ScanBlock
+    from hiermap_cli.mapping.direction import Branch, Drive
     from hiermap_cli.mapping.portals import Portal
     from hiermap_cli.perception.sight import Sight
     from hiermap_cli.perception.views import SegmentView
@@ -55,6 +59,16 @@ class Counts:
     degrees: int = 0
 
 
+class Scan(NamedTuple):
+    """A scan as it comes: its stamp, the odometry (3,) then, and what it saw; ranges: (n,)."""
+
+    stamp_ns: int
+    odometry: Array
+    view: SegmentView
+    sight: Sight
+    ranges: Array
+
+
 @dataclass(slots=True)
 class Mapper:
     """Runs the filters over scans in the order of time. One for each log."""
@@ -71,14 +85,14 @@ class Mapper:
     crossings: Crossings = field(init=False)
     noise: NoiseScale = field(default_factory=NoiseScale)
     noise_rate: float = 0.0
-    _odometry: Array | None = None
-    _wide: Config = field(init=False)
+    stepper: Stepper = field(init=False)
+    driving: Driving = field(init=False)
+    _begun: bool = False
 
     def __post_init__(self) -> None:
-        c = self.config
-        wide = c.association.model_copy(update={"max_angle": c.relocation.slip_max_angle})
-        self._wide = c.model_copy(update={"association": wide})
         self.crossings = Crossings(self.config, self.areas, self.events)
+        self.stepper = Stepper(self.config, self.noise)
+        self.driving = Driving(self.stepper, Stretches(self.events))
 
     def take(self, block: ScanBlock) -> None:
         """Segment a block of scans and filter them one by one."""
@@ -86,63 +100,56 @@ class Mapper:
         views = scan_views(segments, len(block))
         seen = sights(block, self.config.laser)
         for i, (view, sight) in enumerate(zip(views, seen, strict=True)):
-            self._scan(int(block.stamps_ns[i]), block.odometry[i], view, sight)
+            now = Scan(int(block.stamps_ns[i]), block.odometry[i], view, sight, block.ranges[i])
+            self._scan(now)
 
-    def _scan(self, stamp_ns: int, odometry: Array, view: SegmentView, sight: Sight) -> None:
-        if self._odometry is None:
-            self._begin(stamp_ns, odometry)
-            step = self._observe(stamp_ns, view)
-            self._record(stamp_ns, np.zeros(3), view, step)
-            self.trail.key(stamp_ns, self.current, self.area.V)
+    def _scan(self, now: Scan) -> None:
+        self.stepper.noise = self.noise
+        increment, belied = self.driving.come(now.stamp_ns, now.odometry, now.ranges)
+        if not self._begun:
+            self._begin(now.stamp_ns)
+            self.driving.direction.leg(increment)
+            step, _ = self._observe(now)
+            self._record(now, np.zeros(3), step)
+            self.trail.key(now.stamp_ns, self.current, self.area.V)
             return
-        increment = se2.between(self._odometry, odometry)
-        distance = float(np.hypot(increment[0], increment[1]))
         c = self.config.filter
-        if distance < c.key_distance and abs(increment[2]) < c.key_angle:
-            self.trail.between(stamp_ns, increment)
+        missing = belied and self.driving.unnoticed(self.area, increment, now.view, self.key)
+        near = math.hypot(increment[0], increment[1]) < c.key_distance
+        if near and abs(increment[2]) < c.key_angle and not missing:
+            self.trail.between(now.stamp_ns, increment)
             return
-        motion = self._motion(increment)
-        suspect = self._implausible(stamp_ns, increment)
-        if suspect:
-            if distance > self.config.relocation.max_distance:
-                # Farther than is searched: it never was there, and the wheels still told where
-                # it was at the last scan.
-                told = self.trail.last_increment()
-                increment = np.zeros(3) if told is None else told
-                motion = self._motion(increment)
-                distance = float(np.hypot(motion.pose[0], motion.pose[1]))
-            motion = odometry_model.distrusted(motion, self.config.odometry)
-        self._set(replace(self.area, V=predict(self.area.V, motion)))
-        self._odometry = odometry
-        step = self._observe(stamp_ns, view, suspect=suspect)
-        self._record(stamp_ns, increment, view, step, trusted=not suspect)
-        self.trail.key(stamp_ns, self.current, self.area.V, motion)
-        area = self.crossings.step(Passing(stamp_ns, self.key - 1, distance, sight, view))
+        drive = self.driving.drive(self.area, self.current, increment, self.trail, missing=missing)
+        self._set(replace(drive.before, V=predict(drive.before.V, drive.motion)))
+        step, came = self._observe(now, drive)
+        drive = came or drive
+        if missing:
+            self.driving.missed(self.current, drive, self.area)
+        self._record(now, drive.increments[-1], step, trusted=drive.trusted)
+        self.trail.key(now.stamp_ns, self.current, self.area.V, drive.motion)
+        distance = math.hypot(*drive.increments[-1, :2].tolist())
+        area = self.crossings.step(
+            Passing(now.stamp_ns, self.key - 1, distance, now.sight, now.view)
+        )
         if area != self.current:
             self.current = area
+            self.driving.direction.forget()
             self.trail.enter(area, self.area.V)
 
-    def _record(
-        self,
-        stamp_ns: int,
-        increment: Array,
-        view: SegmentView,
-        step: Step,
-        *,
-        trusted: bool = True,
-    ) -> None:
+    def _record(self, now: Scan, increment: Array, step: Step, *, trusted: bool = True) -> None:
         """Keep a key scan for the refinement, if there will be one."""
         if self.config.refine.enabled:
-            walls = np.full(len(view.length), -1)
-            walls[step.matches.segment] = step.area.features.uid[step.matches.wall]
-            self.keyscans.add(stamp_ns, self.current, increment, view, walls, trusted=trusted)
+            walls = matched_walls(now.view, step)
+            self.keyscans.add(
+                now.stamp_ns, self.current, increment, now.view, walls, trusted=trusted
+            )
 
     def finish(self) -> None:
         """The end of the log: scans that still wait for a key scan get their place.
 
         The robot goes with the last of them, so that the levels end where the trajectory ends.
         """
-        if self._odometry is not None:
+        if self._begun:
             left = self.trail.last_increment()
             self.trail.finish(self._motion)
             if left is not None:
@@ -150,9 +157,7 @@ class Mapper:
             self.crossings.finish()
 
     def _motion(self, increment: Array) -> Motion:
-        """The motion of an odometry increment, by what is known of the odometry so far."""
-        motion = odometry_model.motion(increment, self.area.V.parameters, self.config.odometry)
-        return motion._replace(covariance=self.noise.odometry * motion.covariance)
+        return self.stepper.motion(self.area, increment)
 
     @property
     def portals(self) -> list[Portal]:
@@ -167,7 +172,7 @@ class Mapper:
     def _set(self, area: AreaMap) -> None:
         self.areas[self.current] = area
 
-    def _begin(self, stamp_ns: int, odometry: Array) -> None:
+    def _begin(self, stamp_ns: int) -> None:
         c = self.config
         V = initial_map(
             np.zeros(3),
@@ -177,27 +182,26 @@ class Mapper:
             c.coordinates,
         )
         self.areas.append(AreaMap(V, EMPTY))
-        self._odometry = odometry
+        self._begun = True
         self._event(stamp_ns, "area_entered", area="A1")
 
-    def _implausible(self, stamp_ns: int, increment: Array) -> bool:
-        """Whether no robot of this kind moves so: the odometry has failed since the last scan."""
-        c = self.config.relocation
-        seconds = max(stamp_ns - self.trail.last_stamp_ns(), 1) * 1e-9
-        if np.hypot(increment[0], increment[1]) < max(c.max_speed * seconds, 0.3) and abs(
-            increment[2]
-        ) < max(c.max_turn_rate * seconds, 0.3):
-            return False
-        self._event(stamp_ns, "odometry_failed", area=self._name(), increment=increment.tolist())
-        return True
-
-    def _observe(self, stamp_ns: int, view: SegmentView, *, suspect: bool = False) -> Step:
-        view = with_noise(view, self.config.filter, self.noise.laser, self.noise.walls)
+    def _observe(self, now: Scan, drive: Drive | None = None) -> tuple[Step, Drive | None]:
+        """Filter a scan; returns how the robot has come there after all, too."""
+        stamp_ns, stepper = now.stamp_ns, self.stepper
+        view = stepper.noisy(now.view)
         uid = self.area.features.uid
         known = len(uid)
         step: Step = observe(self.area, view, self.key, self.config)
-        if suspect or self._poor(view, step):
-            step = self._found_again(stamp_ns, view, step, suspect=suspect)
+        suspect = drive is not None and not drive.trusted
+        other = None if drive is None else self.driving.direction.weigh(drive, self.key, view, step)
+        if other is not None:
+            step, drive = self._turned_about(other)
+        elif suspect or stepper.is_poor(self.area, view, step):
+            again = stepper.found_again(self.area, view, step, self.key, suspect=suspect)
+            if again is not None:
+                moved = se2.between(step.area.V.robot, again.area.V.robot)
+                self._event(stamp_ns, "relocated", area=self._name(), moved=moved.tolist())
+                step = again
         else:
             if step.surprise is not None:
                 self.noise = adapted(self.noise, step.surprise, self.noise_rate, self.config.noise)
@@ -218,36 +222,34 @@ class Mapper:
             area, forgotten = forget_unseen(self.area, self.key, self.config.forget)
             n.forgotten += forgotten
             self._set(area)
-        return step
+        return step, drive
 
-    def _found_again(self, stamp_ns: int, view: SegmentView, step: Step, *, suspect: bool) -> Step:
-        """The step taken from where the scan itself says the robot is, if that explains more.
+    def _turned_about(self, other: Branch) -> tuple[Step, Drive]:
+        """Believe the other hypothesis of the direction of motion, from where it began up to now.
 
-        That is a pose found among the walls, or else the prediction with room for an error.
+        Returns its last step.
         """
-        c = self.config.relocation
-        V = self.area.V
-        found = relocate(self.area, view, c, suspect=suspect)
-        tried = [robot_found(V, found.pose, c)] if found is not None else []
-        tried.append(widened(V, c))
-        for hypothesis in tried:
-            area = replace(self.area, V=hypothesis)
-            again = observe(area, view, self.key, self._wide)
-            matched, total = _matched_length(view, again), float(view.length.sum())
-            more = matched - _matched_length(view, step) >= max(c.gain * total, c.min_gain)
-            if more and matched >= max(c.min_share * total, c.min_explained):
-                moved = se2.between(step.area.V.robot, again.area.V.robot)
-                self._event(stamp_ns, "relocated", area=self._name(), moved=moved.tolist())
-                return again
-        return step
-
-    def _poor(self, view: SegmentView, step: Step) -> bool:
-        total = float(view.length.sum())
-        return (
-            len(view.length) >= 3
-            and len(self.area.features.uid) > 3
-            and _matched_length(view, step) < self.config.relocation.poor_match * total
-        )
+        *earlier, last = other.told
+        self.trail.rewind(len(earlier), self.current, other.told[0].drive.before.V)
+        for one in other.told:
+            leg = one.drive.leg
+            for stamp, increment in zip(leg.stamps_ns[:-1], one.drive.increments, strict=False):
+                self.trail.between(stamp, increment)
+            if one is not last:
+                V = one.step.area.V
+                self.trail.key(leg.stamps_ns[-1], self.current, V, one.drive.motion)
+        if earlier and self.config.refine.enabled:
+            increments = np.array([one.drive.increments[-1] for one in earlier])
+            walls = np.concatenate([matched_walls(one.view, one.step) for one in earlier])
+            self.keyscans.amend(increments, walls)
+        self.driving.direction.take(other)
+        if self.driving.direction.sign < 0.0:
+            self.driving.stretches.begin(
+                "odometry_reversed", other.since_ns, last.drive.leg.stamps_ns[-1], area=self._name()
+            )
+        else:
+            self.driving.stretches.end("odometry_reversed", other.since_ns)
+        return last.step, last.drive
 
     def _name(self) -> str:
         return f"A{self.current + 1}"
@@ -260,10 +262,6 @@ def laser_factor(block: ScanBlock, config: Config) -> float:
     """The laser's variance over the configured one, by the residuals of a block's line fits."""
     segments = segment_block(block, config.laser, config.segmentation)
     return residual_factor(segments.chi2, segments.points - 2, config.noise)
-
-
-def _matched_length(view: SegmentView, step: Step) -> float:
-    return float(view.length[step.matches.segment].sum())
 
 
 def run_filter(

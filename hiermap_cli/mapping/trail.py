@@ -37,6 +37,11 @@ class Rows:
         """More rows, (n, shape)."""
         self._values.frombytes(np.ascontiguousarray(rows, dtype=float).tobytes())
 
+    def drop(self, rows: int) -> None:
+        """Without the last rows."""
+        if rows:
+            del self._values[-rows * self._size :]
+
     def __len__(self) -> int:
         return len(self._values) // self._size
 
@@ -107,6 +112,20 @@ class Trail:
     def between(self, stamp_ns: int, increment: Array) -> None:
         """A scan too near the last key scan: `increment` is the odometry since then."""
         self._waiting.append((stamp_ns, increment))
+
+    def rewind(self, keys: int, area: int, V: StochasticMap) -> None:
+        """As it was before the last `keys` key scans and all scans after them.
+
+        The key scan before them was in `area`, with the robot as it is in V.
+        """
+        left = self.key_at[len(self.key_at) - 1 - keys]
+        del self.key_at[len(self.key_at) - keys :]
+        gone = len(self.stamps_ns) - 1 - left
+        del self.stamps_ns[left + 1 :], self.area[left + 1 :]
+        for rows in (self.poses, self.covariances, self.increments):
+            rows.drop(gone)
+        self._waiting = []
+        self._base = Base(self.stamps_ns[-1], area, V.robot, invariant_covariance(V))
 
     def last_stamp_ns(self) -> int:
         """Stamp of the last scan taken in, key scan or not."""
