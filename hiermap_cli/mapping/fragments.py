@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     Index = NDArray[np.int64]
     Mask = NDArray[np.bool_]
 
+LEAST_KEYS = 4  # key scans between broken steps that cut the path
 MAX_ROUNDS = 60  # lines of a fragment: what is still left then is clutter
 
 
@@ -65,16 +66,20 @@ class Fragments(NamedTuple):
     walls: Walls
 
 
-def cut_path(keyscans: KeyScans, poses: Array, config: LoopConfig) -> Index:
+def cut_path(poses: Array, broken: Mask, config: LoopConfig) -> Index:
     """The first key scan of each fragment and K behind them: (F + 1,).
 
-    A fragment ends after its length of path, and where the odometry has failed: whether the
-    filter found itself again there is not to be taken for granted.
+    A fragment ends after its length of path, and at a step that is `broken` (K,): whether the
+    filter found itself again there is not to be taken for granted. Of broken steps that follow
+    each other closely the first one cuts: single scans tell nothing.
     """
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     path = np.concatenate(([0.0], np.cumsum(steps)))
-    broken = np.flatnonzero(~keyscans.trusted)
-    bounds = np.unique(np.concatenate(([0], broken, [len(poses)])))
+    cuts = [0]
+    for k in np.flatnonzero(broken).tolist():
+        if k - cuts[-1] >= LEAST_KEYS:
+            cuts.append(k)
+    bounds = np.array([*cuts, len(poses)])
     first: list[int] = []
     for a, b in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
         # Equal parts, so that no remainder is left that sees nothing.
@@ -84,9 +89,9 @@ def cut_path(keyscans: KeyScans, poses: Array, config: LoopConfig) -> Index:
     return np.array([*sorted(set(first)), len(poses)], dtype=np.int64)
 
 
-def fragments_of(keyscans: KeyScans, poses: Array, config: LoopConfig) -> Fragments:
+def fragments_of(keyscans: KeyScans, poses: Array, broken: Mask, config: LoopConfig) -> Fragments:
     """Cuts the path of (K, 3) poses in any one frame, and merges what was seen on it."""
-    first = cut_path(keyscans, poses, config)
+    first = cut_path(poses, broken, config)
     n = len(first) - 1
     centre = (first[:-1] + first[1:]) // 2
     of_key = np.repeat(np.arange(n), np.diff(first))

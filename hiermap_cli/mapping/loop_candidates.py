@@ -19,17 +19,22 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]
+    Mask = NDArray[np.bool_]
 
 
-def candidates(fragments: Fragments, ways: Ways, known: Edges, config: LoopConfig) -> Candidates:
+def candidates(
+    fragments: Fragments, ways: Ways, known: Edges, broken: Mask, config: LoopConfig
+) -> Candidates:
     """Pairs of fragments to be matched, the earlier one first; known ones are left out.
 
-    Each fragment is matched with no more than `partners` earlier ones, the nearest.
+    Each fragment is matched with no more than `partners` earlier ones, the nearest. One that
+    follows closely is matched only over a broken step, `broken` (F - 1,).
     """
     frames = ways.frames
     n = len(frames)
     i, j = near_pairs(frames[:, :2], config.near_distance + config.max_shift)
-    keep = j - i > config.least_steps
+    breaks = np.concatenate(([0], np.cumsum(broken)))
+    keep = (j - i > config.least_steps) | (breaks[j] > breaks[i])
     keep &= ~np.isin(i * n + j, known.i * n + known.j)
     many = np.diff(fragments.walls.start)
     keep &= (many[i] >= 2) & (many[j] >= 2)

@@ -8,7 +8,7 @@ are larger than what they are true over.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,13 +26,40 @@ if TYPE_CHECKING:
     from hiermap_cli.mapping.keyscans import KeyScans
 
     Array = NDArray[np.float64]
+    Mask = NDArray[np.bool_]
+
+
+class Steps(NamedTuple):
+    """The K steps that led to the key scans.
+
+    covariance: (K, 3, 3) of the odometry, in the robot's frame after the step. broken: (K,)
+    where the odometry has failed, or the filter has not gone where it led.
+    """
+
+    covariance: Array
+    broken: Mask
+
+
+def steps_of(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseScale) -> Steps:
+    """What the odometry says of every step, and whether the filter's poses (K, 3) agree."""
+    c, loops = config.odometry, config.loops
+    Q = step_noise(keyscans, config, noise)
+    broken = ~keyscans.trusted
+    off = se2.between(keyscans.increments[1:], se2.between(poses[:-1], poses[1:]))
+    r = se2.log(off)
+    floor = np.square([loops.step_floor, loops.step_floor, loops.step_floor_angle])
+    S = Q[1:] + np.diag(floor)
+    broken[1:] |= np.einsum("ni,nij,nj->n", r, np.linalg.inv(S), r) > loops.gate
+    broken[0] = False
+    fault = np.square([c.fault_sigma_xy, c.fault_sigma_xy, c.fault_sigma_theta])
+    Q[broken] += np.diag(fault)
+    return Steps(Q, broken)
 
 
 def step_noise(keyscans: KeyScans, config: Config, noise: NoiseScale) -> Array:
     """Covariance (K, 3, 3) of each key scan's odometry, in the robot's frame after it.
 
-    The noise of `estimation.motion`, row by row the same; an increment that cannot be true has
-    that of `distrusted`.
+    The noise of `estimation.motion`, row by row the same.
     """
     c = config.odometry
     dx, dy, turn = keyscans.increments.T
@@ -43,19 +70,17 @@ def step_noise(keyscans: KeyScans, config: Config, noise: NoiseScale) -> Array:
     Q[:, 0, 0], Q[:, 1, 1] = var_x, var_x + var_t * np.square(distance) / 3.0
     Q[:, 1, 2] = Q[:, 2, 1] = np.copysign(0.5 * var_t * distance, dx)
     Q[:, 2, 2] = var_t
-    Q *= noise.odometry
-    fault = np.square([c.fault_sigma_xy, c.fault_sigma_xy, c.fault_sigma_theta])
-    Q[~keyscans.trusted] += np.diag(fault)
-    return Q
+    return np.asarray(noise.odometry * Q)
 
 
-def chain(fragments: Fragments, poses: Array, Q: Array, config: Config) -> Edges:
+def chain(fragments: Fragments, poses: Array, steps: Steps, config: Config) -> Edges:
     """The F - 1 steps from fragment to fragment, as the filter's poses (K, 3) have them.
 
     Args:
         fragments: of the path.
         poses: of the key scans, in g.
-        Q: (K, 3, 3) from `step_noise`.
+        steps: that led to them. Over a broken one the walls are a poor witness: the filter lies
+            where they fit, be it the right place or not.
         config: the inflation, design section 8.3.
     """
     c = config.loops
@@ -63,17 +88,25 @@ def chain(fragments: Fragments, poses: Array, Q: Array, config: Config) -> Edges
     n = len(frames)
     i, j = np.arange(n - 1), np.arange(1, n)
     R = se2.between(frames[i], frames[j])
-    total = np.cumsum(moved(Q, poses), axis=0)[fragments.centre]
+    total = np.cumsum(moved(steps.covariance, poses), axis=0)[fragments.centre]
     C = moved(np.diff(total, axis=0), se2.invert(frames[i]))
     if n > 1:
         asked = Candidates(i, j, R, np.zeros((n - 1, 3, 3)))
         pairs = correspondences(fragments.walls, asked, c)
         seen = evidence(fragments.walls, pairs, n - 1, i, R, c).information
         C = np.asarray(np.linalg.inv(np.linalg.inv(C) + seen), dtype=float)
-    floor = np.square([c.chain_floor, c.chain_floor, c.chain_floor_angle])
+    sound = np.square([c.chain_floor, c.chain_floor, c.chain_floor_angle])
+    broken = np.square([c.broken_floor, c.broken_floor, c.broken_floor_angle])
+    floor = np.where(broken_between(fragments, steps)[:, None], broken, sound)
     # The floor is of where the next fragment lies, not of this one's origin.
     at = np.column_stack((R[:, :2], np.zeros(n - 1)))
-    return Edges(i, j, R, c.chain_inflation * C + moved(np.diag(floor), at))
+    return Edges(i, j, R, c.chain_inflation * C + moved(floor[:, :, None] * np.eye(3), at))
+
+
+def broken_between(fragments: Fragments, steps: Steps) -> Mask:
+    """Whether a step is broken between the middles of a fragment and the next one, (F - 1,)."""
+    count = np.cumsum(steps.broken)[fragments.centre]
+    return np.asarray(np.diff(count) > 0)
 
 
 def carried(fragments: Fragments, poses: Array, frames: Array, Q: Array) -> Array:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.loop_graph import Edges, discrepancy, moved, position_variance
 from hiermap_cli.mapping.loop_matching import ragged
 
@@ -40,12 +41,13 @@ class Verdict(NamedTuple):
     rival: Array
 
 
-def judge(loops: Edges, overlap: Array, ways: Ways, config: LoopConfig) -> Verdict:
+def judge(loops: Edges, overlap: Array, second: Array, ways: Ways, config: LoopConfig) -> Verdict:
     """Judges E loops by the way there and by each other.
 
     Args:
         loops: what they say.
         overlap: (E,) metres of wall on wall.
+        second: (E,) the best other place, of this one.
         ways: how well the fragments know of each other without them.
         config: thresholds.
     """
@@ -68,7 +70,15 @@ def judge(loops: Edges, overlap: Array, ways: Ways, config: LoopConfig) -> Verdi
     known = ways.relative(loops.i, loops.j)
     near = position_variance(known, loops.R_i_j) < config.sure_sigma**2
     near &= known[:, 2, 2] < config.sure_sigma_angle**2
-    believed = (near | (witnesses > 0)) & (rival < config.second * support)
+    # Over a broken step the filter is a witness that has looked at single scans only.
+    off = se2.between(loops.R_i_j, se2.between(ways.frames[loops.i], ways.frames[loops.j]))
+    same = np.hypot(off[:, 0], off[:, 1]) < config.agree
+    near |= (
+        same & (np.abs(off[:, 2]) < config.agree_angle) & (loops.j - loops.i <= config.least_steps)
+    )
+    believed = (
+        (near | (witnesses > 0)) & (second < config.second) & (rival < config.second * support)
+    )
     return Verdict(believed, witnesses, support, rival)
 
 

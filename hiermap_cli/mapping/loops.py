@@ -14,7 +14,7 @@ import numpy as np
 
 from hiermap_cli.mapping.fragments import Fragments, fragments_of
 from hiermap_cli.mapping.loop_candidates import candidates
-from hiermap_cli.mapping.loop_chain import carried, chain, step_noise
+from hiermap_cli.mapping.loop_chain import broken_between, carried, chain, steps_of
 from hiermap_cli.mapping.loop_choice import Verdict, judge
 from hiermap_cli.mapping.loop_found import Found, believable, merged
 from hiermap_cli.mapping.loop_graph import Edges, chi2, joined, no_edges, solved, ways
@@ -87,10 +87,11 @@ def close_loops(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseSc
     if len(poses) < 2:
         return LoopResult(poses, (), ())
     c = config.loops
-    fragments = fragments_of(keyscans, poses, c)
+    steps = steps_of(keyscans, poses, config, noise)
+    fragments = fragments_of(keyscans, poses, steps.broken, c)
     beams = beams_of(fragments)
-    Q = step_noise(keyscans, config, noise)
-    path = chain(fragments, poses, Q, config)
+    path = chain(fragments, poses, steps, config)
+    broken = broken_between(fragments, steps)
     frames = poses[fragments.centre]
     known = no_edges()
     found: Found | None = None
@@ -98,16 +99,16 @@ def close_loops(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseSc
     verdict: Verdict | None = None
     for _ in range(c.rounds):
         net = ways(frames, joined((path, known)))
-        asked = candidates(fragments, net, known, c)
+        asked = candidates(fragments, net, known, broken, c)
         seen = believable(fragments, beams, match(fragments, asked, c), asked, c)
         if found is not None:
             seen = merged(found.rows(closed), seen)
-        found, verdict = seen, judge(seen.edges, seen.evidence.overlap, net, c)
+        found, verdict = seen, judge(seen.edges, seen.evidence.overlap, seen.second, net, c)
         frames, closed = _settled(frames, path, found, verdict, c)
         known = found.edges.rows(closed)
     assert found is not None
     assert verdict is not None
-    moved = carried(fragments, poses, frames, Q)
+    moved = carried(fragments, poses, frames, steps.covariance)
     edges, events = _told(keyscans, fragments, found, verdict, closed)
     return LoopResult(moved, edges, events)
 
