@@ -195,6 +195,22 @@ def test_commands_load_nothing_heavy_before_they_run():
     assert not loaded_by(imports) & HEAVY
 
 
+def test_the_filter_alone_runs_without_what_takes_long_to_load(tmp_path):
+    (tmp_path / "filter.yaml").write_text("refine:\n  enabled: false\n")
+    log = ROOT / "datasets" / "ring" / "log.mcap"
+    options = ["--end", "5", "--quiet", "--config", str(tmp_path / "filter.yaml")]
+    code = f"""
+sys.argv = ["hiermap", "run", {str(log)!r}, "-o", {str(tmp_path / "out")!r}, *{options!r}]
+from hiermap_cli.commands import main
+try:
+    main.main()
+except SystemExit as error:
+    assert error.code == 0
+"""
+    assert not loaded_by(code) & {"http", "rich", "scipy"}
+    assert (tmp_path / "out" / "model.json").exists()
+
+
 def test_one_thread_is_set_before_numpy_is_loaded():
     code = """
 import os, hiermap_cli.commands.main as m

@@ -73,6 +73,8 @@ def main() -> None:
     # two threads are thirty times slower than one.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
+    # Its plugins are asked for by reading the metadata of every installed package.
+    os.environ["PYDANTIC_DISABLE_PLUGINS"] = "1"
     # Warnings of Python are for developers: the tests turn them into errors.
     if not sys.warnoptions:
         warnings.simplefilter("ignore")

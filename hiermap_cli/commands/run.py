@@ -57,13 +57,16 @@ def command(
     from hiermap_cli.batch.run_log import default_output, run_log
     from hiermap_cli.commands.terminal import make_display
     from hiermap_cli.config import Config
-    from hiermap_cli.configfile import load_config
 
     folder = output if output is not None else default_output(logs[0])
     state = session()
     state.verbose = verbose
     state.beside = folder.parent
-    config = load_config(config_file) if config_file is not None else Config()
+    config = Config()
+    if config_file is not None:
+        from hiermap_cli.configfile import load_config
+
+        config = load_config(config_file)
     config = config.model_copy(update={"input": chosen.over(config.input)})
     with make_display(quiet=quiet, verbose=verbose) as display:
         outcome = run_log(logs, config, folder, force=force, observer=display)

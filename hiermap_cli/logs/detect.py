@@ -18,6 +18,7 @@ _MAGIC_MCAP = b"\x89MCAP0\r\n"
 _MAGIC_DB3 = b"SQLite format 3\0"
 _MAGIC_BAG = b"#ROSBAG V"
 _MAGIC_GZIP = b"\x1f\x8b"
+METADATA = "metadata.yaml"  # of a rosbag2 folder
 _SUFFIXES = {".mcap": MCAP, ".db3": DB3, ".bag": BAG, ".zstd": DB3}
 
 
@@ -42,12 +43,12 @@ def open_source(paths: Sequence[Path]) -> Source:
 
 
 def _files(path: Path, losses: list[str]) -> list[Path]:
-    from hiermap_cli.logs.rosbag2 import METADATA, folder_files
-
     try:
         if path.name == METADATA and path.is_file():
             path = path.parent
         if path.is_dir():
+            from hiermap_cli.logs.rosbag2 import folder_files
+
             files, faults = folder_files(path)
             losses += faults
             return files

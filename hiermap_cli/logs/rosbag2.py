@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from hiermap_cli.errors import InputError
 from hiermap_cli.logs.compression import unzstd_file
 from hiermap_cli.logs.db3_file import Db3File
+from hiermap_cli.logs.detect import METADATA
 from hiermap_cli.logs.mcap_file import McapFile
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
     from hiermap_cli.logs.container import Container
 
-METADATA = "metadata.yaml"
 ENDINGS = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
 
 
