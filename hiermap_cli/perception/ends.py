@@ -29,6 +29,7 @@ NEXT = 4  # of these, so many beams may still be of the surface
 LOOSE = 9  # beams between the ends of two segments that may meet in a vertex, and one
 OUTWARDS = np.array(((-1,), (1,)))  # which way is out, at the first end and at the last
 VERTEX_SINE = 0.17  # lines that differ by less than about ten degrees make no vertex
+BLIND = 0.5  # metres along the line that the face of a wall's end may be taken for the wall
 GRAZING = 0.02  # cosine of incidence below which a beam does not meet the line any more
 
 
@@ -50,6 +51,7 @@ class _Extremes(NamedTuple):
     row, column: their scan and column. along: where on the line they are, growing from first to
     last. met: where their beam meets the line. spacing: between beams there. slope: tangent of
     the incidence. range_blur, bearing_blur: sigmas along the line by the noise of each.
+    depth_noise: metres behind the line that are still on it.
     """
 
     row: Index
@@ -60,6 +62,7 @@ class _Extremes(NamedTuple):
     slope: Array
     range_blur: Array
     bearing_blur: Array
+    depth_noise: Array
 
 
 def describe_ends(
@@ -75,9 +78,12 @@ def describe_ends(
     A free end or a vertex lies anywhere between where its last beam meets the line and where the
     next does that is of something else: its mean is the middle, and its sigma that of a uniform
     distribution and of the line there. Open ends are where the last point is projected.
+
+    Looking back at a wall past its end, one sees the face of that end too: beams that meet it
+    not deeper than the noise are taken for ones on the wall, which so seems longer.
     """
     lines = fit.lines
-    ends = _extremes(beams, np.stack((first, last)), lines, laser)
+    ends = _extremes(beams, np.stack((first, last)), lines, laser, config)
     kind, reached, passing = _beyond(beams, ends, lines, laser, config)
     a, b = _vertices(beams, ends, lines, config)
     for side, own, other, point in ((1, a, b, first), (0, b, a, last)):
@@ -88,6 +94,9 @@ def describe_ends(
     width = np.minimum(np.abs(passing - reached), 4.0 * LOOSE * ends.spacing)
     # The middle of the bearings, as the beams lie anyhow: nearer to the laser than half way.
     passing = reached + width * OUTWARDS
+    past = (kind == END_FREE) & (ends.along * OUTWARDS < 0.0)
+    blind = np.where(past, np.minimum(ends.depth_noise * np.abs(ends.slope), BLIND), 0.0)
+    reached, passing = reached - blind * OUTWARDS, passing - blind * OUTWARDS
     square = lines.d * lines.d
     near, far = np.sqrt(square + reached * reached), np.sqrt(square + passing * passing)
     along = np.where(true, (reached * far + passing * near) / (near + far), ends.along)
@@ -95,7 +104,7 @@ def describe_ends(
     lever = along - (nx * fit.cy - ny * fit.cx)
     across = (fit.var_d + lever * lever * fit.var_alpha) * ends.slope**2
     variance = np.where(
-        true, width * width / 12.0 + across, ends.spacing**2 / 3.0 + ends.range_blur**2
+        true, (width * width + blind * blind) / 12.0 + across, ends.spacing**2 / 3.0 + ends.range_blur**2
     )
     return Ends(
         d * nx - along * ny,
@@ -105,7 +114,9 @@ def describe_ends(
     )
 
 
-def _extremes(beams: Beams, point: Index, lines: Lines, laser: LaserConfig) -> _Extremes:
+def _extremes(
+    beams: Beams, point: Index, lines: Lines, laser: LaserConfig, config: SegmentationConfig
+) -> _Extremes:
     """The extreme points (2, K) of the segments against their lines."""
     nx, ny, d = lines
     dx, dy, r = beams.dx.take(point), beams.dy.take(point), beams.r.take(point)
@@ -122,6 +133,7 @@ def _extremes(beams: Beams, point: Index, lines: Lines, laser: LaserConfig) -> _
         slope=sine / cosine,
         range_blur=sigma * np.abs(sine),
         bearing_blur=laser.sigma_bearing * r / cosine,
+        depth_noise=config.outlier_sigmas * sigma * cosine,
     )
 
 

@@ -164,7 +164,8 @@ def match_ends(
     """Ends of walls where several scans show an end, and which segments' ends they are.
 
     The places at which a wall was seen to end, sorted along it, are cut where they lie far
-    apart; what is left together, and narrow, is one end. Returns segment, side and end too.
+    apart; what is left together, and spread as its noise says, is one end. Returns segment, side
+    and end too.
     """
     segment, side = np.nonzero((labels >= 0)[:, None] & (segments.end_kind != END_OPEN))
     wall = labels[segment]
@@ -179,12 +180,15 @@ def match_ends(
     n = int(new.sum())
     first = np.flatnonzero(new)
     last = np.append(first[1:], len(x)) - 1 if n else first
+    middle = x[(first + last) // 2]
+    z2 = np.square(x - middle[cluster]) / noise.ends[segment, side]
+    fits = z2 < config.end_outlier
     count = np.bincount(cluster, minlength=n)
-    good = (count >= config.end_seen) & (x[last] - x[first] < config.end_width)
+    spread = np.bincount(cluster, z2, n) / np.maximum(count, 1)
+    good = (count >= config.end_seen) & (spread < config.end_spread)
     number = np.where(good, np.cumsum(good) - 1, -1)[cluster]
-    keep = number >= 0
-    middle = x[(first + last) // 2][good]
-    ends = Ends(wall[first][good], side[first][good], middle)
+    keep = (number >= 0) & fits
+    ends = Ends(wall[first][good], side[first][good], middle[good])
     return ends, segment[keep], side[keep], number[keep]
 
 
