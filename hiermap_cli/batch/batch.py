@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from hiermap_cli.batch.content import fixed_digest, read_record
 from hiermap_cli.batch.executors import LocalExecutor
 from hiermap_cli.batch.folder_lock import Shard, lock_folder, lock_path, summary_lock
-from hiermap_cli.batch.run_job import kept_outcome
+from hiermap_cli.batch.job import kept_outcome
 from hiermap_cli.batch.summary import (
     JUNIT,
     MARKDOWN,
@@ -91,6 +91,8 @@ def run_batch(
             _clear(folder, workshops, shard)
             own = [_limited(job, options) for job in jobs[shard.index - 1 :: shard.count]]
             to_do, kept = _sorted_out(own, folder)
+            # No more workers than there is work: each costs half a second to start.
+            options = options._replace(workers=min(options.workers, len(to_do)))
             executor = _executor(folder, workshops, handles, options, view)
             view.planned(len(to_do), len(kept), options.workers)
             for outcome in kept:

@@ -96,3 +96,10 @@ def too_much_memory(limit: int | None) -> str:
     return "needs more memory than it may have" + (
         f" (limit {bytes_text(limit)})" if limit is not None else ""
     )
+
+
+def kept_outcome(name: str, row: dict[str, Any]) -> Outcome:
+    """The outcome that a result's row tells of."""
+    return Outcome(
+        name, row["status"], row["reason"], row["seconds"], row["peak_memory"], kept=True
+    )

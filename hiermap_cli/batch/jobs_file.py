@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -41,8 +42,9 @@ def read_jobs(path: Path) -> list[Job]:
             line and path; those of the configurations that it names too.
     """
     path = Path(path)
+    base = Path(os.path.abspath(path)).parent  # noqa: PTH100 - workers may stand elsewhere
     document, lines = read_with_lines(path, JobsDocument, max_bytes=MAX_BYTES, max_nodes=MAX_NODES)
-    reader = _Reader(path.parent, document.defaults, lines)
+    reader = _Reader(base, document.defaults, lines)
     jobs = [job for index, shape in enumerate(document.jobs) for job in reader.jobs(index, shape)]
     reader.check_names()
     if reader.faults:

@@ -20,7 +20,7 @@ from hiermap_cli.batch.content import (
     read_record,
 )
 from hiermap_cli.batch.evaluate_run import EVAL, evaluate_run, write_eval
-from hiermap_cli.batch.job import EVALUATED_BY, Job, Outcome, failed, too_much_memory
+from hiermap_cli.batch.job import EVALUATED_BY, Job, Outcome, failed, kept_outcome, too_much_memory
 from hiermap_cli.batch.memory import peak_bytes
 from hiermap_cli.batch.remote import fetch, remote_state, remove, shown
 from hiermap_cli.batch.run_log import MappedLog, Observer, RunOutcome
@@ -217,13 +217,6 @@ def _missed(limit: dict[str, Any]) -> str:
     value = limit["value"]
     return f"{limit['text']} is missed: " + (
         f"it is {value:.6g}" if value is not None else "it could not be measured"
-    )
-
-
-def kept_outcome(name: str, row: dict[str, Any]) -> Outcome:
-    """The outcome that a result's row tells of."""
-    return Outcome(
-        name, row["status"], row["reason"], row["seconds"], row["peak_memory"], kept=True
     )
 
 

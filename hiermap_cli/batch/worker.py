@@ -1,4 +1,4 @@
-"""A worker: `python -m hiermap_cli.batch.worker`. Jobs come in, events and outcomes go out.
+"""A worker: a process that does jobs. Orders come in, events and outcomes go out.
 
 A worker is an interpreter of its own, started and not forked: nothing of the parent's memory,
 threads or locks is in it, and BLAS reads its number of threads before numpy is loaded. It is kept
@@ -60,9 +60,8 @@ class Teller(Observer):
         self._send({"stage": stage})
 
 
-def main() -> None:
-    """Does one job after the other until the input ends."""
-    parent = int(sys.argv[1]) if len(sys.argv) > 1 else os.getppid()
+def main(parent: int) -> None:
+    """Does one job after the other until the input ends, or the process `parent` does."""
     _die_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     if not sys.warnoptions:
@@ -114,7 +113,3 @@ def _die_with(parent: int) -> None:
             ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:  # it died before it was asked for
             os.kill(os.getpid(), signal.SIGKILL)
-
-
-if __name__ == "__main__":
-    main()

@@ -27,6 +27,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_PROGRAM = """
+import sys
+sys.path[:] = sys.argv[2:]
+from hiermap_cli.batch.worker import main
+main(int(sys.argv[1]))
+"""
 START_LIMIT = 120.0  # seconds for the imports of a worker; on a busy network disk they take long
 _WATCH_EVERY = 0.02  # seconds between looks at a worker with a memory limit
 _LOOK_EVERY = 0.2  # ... and at others, for whether it shall stop
@@ -169,8 +175,8 @@ class WorkerProcess:
     def _start(self) -> None:
         self._buffer, self._reason = b"", ""
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - read after the worker's death
-        # -P: the working folder, which may hold anything, is no place to import from.
-        command = [sys.executable, "-P", "-m", "hiermap_cli.batch.worker", str(os.getpid())]
+        # The worker imports from where this process does, or it might be another hiermap.
+        command = [sys.executable, "-P", "-c", _PROGRAM, str(os.getpid()), *sys.path]
         self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
             command,
             stdin=subprocess.PIPE,
