@@ -151,6 +151,7 @@ class MappedLog:
             metrics=self._metrics,
             events=result.events,
             timing=timing,
+            consistency=result.consistency,
         )
         (folder / REPORT).write_bytes(report)
         return RunOutcome(

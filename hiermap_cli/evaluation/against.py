@@ -1,22 +1,77 @@
-"""Everything that a reference map and a reference trajectory tell of a run, as one list."""
+"""Everything that a reference map and a reference trajectory tell of a run."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from hiermap_cli.evaluation.areas import area_metrics, topology_metrics
 from hiermap_cli.evaluation.consistency import first_pose_alignment, landmark_nees, robot_nees
 from hiermap_cli.evaluation.corners import corner_metrics
 from hiermap_cli.evaluation.doors import door_metrics
+from hiermap_cli.evaluation.occupied import occupancy_metrics
 from hiermap_cli.evaluation.placed import place
 from hiermap_cli.evaluation.trajectory import ate, rpe
 from hiermap_cli.evaluation.visibility import ALL_AROUND, View, viewpoints
 from hiermap_cli.evaluation.walls import wall_metrics
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from hiermap_cli.documents.occupancy import OccupancyGrid
     from hiermap_cli.documents.reference import ReferenceMap
     from hiermap_cli.documents.tum import TimedPoses
+    from hiermap_cli.evaluation.areas import AreaMetrics, TopologyMetrics
+    from hiermap_cli.evaluation.corners import CornerMetrics
+    from hiermap_cli.evaluation.doors import DoorMetrics
+    from hiermap_cli.evaluation.occupied import OccupancyMetrics
+    from hiermap_cli.evaluation.placed import PlacedModel
+    from hiermap_cli.evaluation.walls import WallMetrics
     from hiermap_cli.mapping.model import HierarchicalModel, Metric, Trajectory
+
+    Array = NDArray[np.float64]
+
+
+class MapFindings(NamedTuple):
+    """A model against a reference map, part by part; None of what the reference does not list."""
+
+    corners: CornerMetrics | None
+    walls: WallMetrics | None
+    doors: DoorMetrics | None
+    areas: AreaMetrics | None
+    topology: TopologyMetrics | None
+    occupancy: OccupancyMetrics | None = None
+
+    def metrics(self) -> tuple[Metric, ...]:
+        """All figures that could be measured."""
+        return tuple(metric for part in self if part is not None for metric in part.metrics())
+
+
+def compare_maps(
+    placed: PlacedModel,
+    reference: ReferenceMap,
+    poses: Array,
+    view: View = ALL_AROUND,
+    grid: OccupancyGrid | None = None,
+) -> MapFindings:
+    """A model that lies in the reference's frame against it.
+
+    Args:
+        placed: the model.
+        reference: what is truly there.
+        poses: (N, 3) of the robot, the truth where it is known, in the reference's frame: what it
+            could see from there is asked for.
+        view: of its laser.
+        grid: a map of cells in the reference's frame.
+    """
+    return MapFindings(
+        corners=corner_metrics(placed, reference, viewpoints(poses), view),
+        walls=wall_metrics(placed, reference),
+        doors=door_metrics(placed, reference),
+        areas=area_metrics(placed, reference, poses, view),
+        topology=topology_metrics(placed, reference),
+        occupancy=None if grid is None else occupancy_metrics(placed, grid),
+    )
 
 
 def trajectory_metrics(trajectory: Trajectory, truth: TimedPoses) -> tuple[Metric, ...]:
@@ -47,14 +102,6 @@ def map_metrics(
     R_t_g = first_pose_alignment(*estimate, *truth)
     if best.n == 0 or R_t_g is None:
         return ()
-    placed = place(model, best.alignment)
     nees = landmark_nees(model, reference, R_t_g, best.alignment)
-    parts = (
-        corner_metrics(placed, reference, viewpoints(truth.poses), view),
-        wall_metrics(placed, reference),
-        door_metrics(placed, reference),
-        area_metrics(placed, reference, truth.poses, view),
-        topology_metrics(placed, reference),
-    )
-    figures = [metric for part in parts if part is not None for metric in part.metrics()]
-    return (*nees.metrics("nees_landmarks"), *figures)
+    findings = compare_maps(place(model, best.alignment), reference, truth.poses, view)
+    return (*nees.metrics("nees_landmarks"), *findings.metrics())

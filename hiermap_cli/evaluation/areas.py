@@ -44,11 +44,23 @@ class AreaMatch(NamedTuple):
     iou: float
 
 
+class AreaShare(NamedTuple):
+    """An area, the area of the other map that overlaps it most, and that share of it.
+
+    `other` is None where nothing overlaps it; `share` is None where nothing of it was seen.
+    """
+
+    area: str
+    other: str | None
+    share: float | None
+
+
 class AreaMetrics(NamedTuple):
     """Means over areas; nan where there is nothing to divide by.
 
-    `matches` are one to one with IoU >= 0.5; `found` areas of the model have an extent, `asked`
-    reference areas were visited, `seen` of them also from inside.
+    recalled: of every visited reference area, of what was seen of it; covered: of every area of
+    the model. `matches` are one to one with IoU >= 0.5; `found` areas of the model have an extent,
+    `asked` reference areas were visited, `seen` of them also from inside.
     """
 
     precision: float
@@ -58,6 +70,8 @@ class AreaMetrics(NamedTuple):
     asked: int
     seen: int
     matches: tuple[AreaMatch, ...]
+    recalled: tuple[AreaShare, ...]
+    covered: tuple[AreaShare, ...]
 
     def metrics(self) -> tuple[Metric, ...]:
         """The figures under the names of eval.json, those that could be measured."""
@@ -69,12 +83,20 @@ class AreaMetrics(NamedTuple):
 
 
 class TopologyMetrics(NamedTuple):
-    """Edges of the area graph; nan where there is nothing to divide by."""
+    """Edges of the area graph; nan where there is nothing to divide by.
+
+    same: what reference area each of the model's is. right, false: edges of the model by its own
+    names; missed: edges of the reference.
+    """
 
     precision: float
     recall: float
     found: int
     asked: int
+    same: dict[str, str]
+    right: tuple[tuple[str, ...], ...]
+    false: tuple[tuple[str, ...], ...]
+    missed: tuple[tuple[str, ...], ...]
 
     def metrics(self) -> tuple[Metric, ...]:
         """The figures under the names of eval.json, those that could be measured."""
@@ -106,21 +128,26 @@ def area_metrics(
     visited = [area for area in reference.areas if area.visited]
     asked = [shape(area.polygon) for area in visited]
     seen = [seen_part(area, reference, poses, view) for area in visited]
-    largest = _overlaps(seen, found.values()).max(axis=1, initial=0.0)
-    recalls = [best / part.area for best, part in zip(largest, seen, strict=True) if part.area > 0]
+    recalled = _shares(
+        [area.id for area in visited], seen, list(found), _overlaps(seen, found.values())
+    )
+    recalls = [one.share for one in recalled if one.share is not None]
     overlap = _overlaps(found.values(), true)
-    precisions = overlap.max(axis=1, initial=0.0) / [polygon.area for polygon in found.values()]
+    covered = _shares(list(found), found.values(), [area.id for area in reference.areas], overlap)
+    precisions = [one.share for one in covered if one.share is not None]
     iou = _ious(found.values(), asked)
     pairs = match_largest(iou, iou >= 0.5)
     ids = tuple(found)
     return AreaMetrics(
-        precision=float(np.mean(precisions)) if len(precisions) else math.nan,
+        precision=float(np.mean(precisions)) if precisions else math.nan,
         recall=float(np.mean(recalls)) if recalls else math.nan,
         f1_iou50=ratio(2 * len(pairs), len(found) + len(asked)),
         found=len(found),
         asked=len(asked),
         seen=len(recalls),
         matches=tuple(AreaMatch(ids[i], visited[j].id, float(iou[i, j])) for i, j in pairs),
+        recalled=recalled,
+        covered=covered,
     )
 
 
@@ -142,13 +169,23 @@ def topology_metrics(model: PlacedModel, reference: ReferenceMap) -> TopologyMet
     name = {model.areas[i].id: reference.areas[j].id for i, j in pairs}
     edges = _edges(door.areas for door in model.doors if door.crossed)
     asked = _edges(door.areas for door in reference.doors if door.visited)
-    right = {frozenset(name.get(area, "") for area in edge) for edge in edges} & asked
+    meant = {edge: frozenset(name.get(area, "") for area in edge) for edge in edges}
+    right = set(meant.values()) & asked
     return TopologyMetrics(
         precision=ratio(len(right), len(edges)),
         recall=ratio(len(right), len(asked)),
         found=len(edges),
         asked=len(asked),
+        same=name,
+        right=_listed(edge for edge, is_ in meant.items() if is_ in asked),
+        false=_listed(edge for edge, is_ in meant.items() if is_ not in asked),
+        missed=_listed(asked - right),
     )
+
+
+def _listed(edges: Iterable[frozenset[str]]) -> tuple[tuple[str, ...], ...]:
+    """Edges with their areas, all in the order of names."""
+    return tuple(sorted(tuple(sorted(edge)) for edge in edges))
 
 
 def seen_part(area: ReferenceArea, reference: ReferenceMap, poses: Array, view: View) -> Any:
@@ -186,6 +223,18 @@ def shape(polygon: Array) -> Any:
     if len(polygon) < 3:
         return shapely.Polygon()
     return shapely.make_valid(shapely.Polygon(polygon))
+
+
+def _shares(
+    ids: list[str], parts: Iterable[Any], others: list[str], overlap: Array
+) -> tuple[AreaShare, ...]:
+    """Of each part the largest overlap (n, m) with one of the others, as a share of it."""
+    shares = []
+    for id_, part, row in zip(ids, parts, overlap, strict=True):
+        best = int(np.argmax(row)) if row.size and row.max() > 0 else None
+        share = (float(row.max(initial=0.0)) / part.area) if part.area > 0 else None
+        shares.append(AreaShare(id_, None if best is None else others[best], share))
+    return tuple(shares)
 
 
 def _overlaps(first: Iterable[Any], second: Iterable[Any]) -> Array:

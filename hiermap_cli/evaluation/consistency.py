@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiermap_cli.evaluation.bands import independent_of_groups, independent_of_sequence
 from hiermap_cli.evaluation.corners import CORNER_RADIUS, furniture_corners, wall_corners
 from hiermap_cli.evaluation.doors import DOOR_RADIUS
 from hiermap_cli.evaluation.matching import match_points
@@ -41,15 +42,25 @@ class Nees(NamedTuple):
     """The mean NEES per degree of freedom, nan where `n` is 0, and the single values.
 
     values: (k,) per pose or landmark, nan where the covariance is singular or nothing matches.
+    independent: how many values are as good as independent. ids: of the landmarks or areas.
     """
 
     mean: float
     n: int
     values: Array
+    independent: float = math.nan
+    ids: tuple[str, ...] = ()
 
     def metrics(self, name: str) -> tuple[Metric, ...]:
         """The figure under its name in eval.json; nothing where it was not measured."""
         return () if self.n == 0 else (Metric(name, "1", self.mean, self.n),)
+
+
+def whitened(errors: Array, covariances: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """`L^-1 e` with `C = L L'` of those errors (N, d) whose covariance is regular, and which."""
+    usable = ~np.isnan(nees_values(errors, covariances))
+    L = np.linalg.cholesky(covariances[usable])
+    return np.linalg.solve(L, errors[usable][:, :, None])[:, :, 0], usable
 
 
 def nees_values(errors: Array, covariances: Array) -> Array:
@@ -104,6 +115,8 @@ def robot_nees(trajectory: Trajectory, truth_ns: Stamps, truth: Array) -> Nees:
         errors = trajectory.poses - compose(invert(R_t_g), at)
         errors[:, 2] = wrap(errors[:, 2])
         values[found] = nees_values(errors[found], trajectory.covariances[found])
+        white, _ = whitened(errors[found], trajectory.covariances[found])
+        return _mean(values)._replace(independent=independent_of_sequence(white))
     return _mean(values)
 
 
@@ -127,14 +140,25 @@ def landmark_nees(
         (filter(is_corner, model.landmarks), corners, CORNER_RADIUS),
         (filter(is_door, model.landmarks), doors.reshape(-1, 2), DOOR_RADIUS),
     )
-    return _mean(
-        np.concatenate(
-            [
-                _point_nees(landmark_points(model, chosen), true, radius, R_t_g, best_R_t_g)
-                for chosen, true, radius in kinds
-            ]
-        )
-    )
+    found = [(landmark_points(model, chosen), true, radius) for chosen, true, radius in kinds]
+    values = np.concatenate([_point_nees(*one, R_t_g, best_R_t_g) for one in found])
+    ids = tuple(id_ for points, _, _ in found for id_ in points.ids)
+    return _mean(values)._replace(independent=_independent(model, ids, values), ids=ids)
+
+
+def _independent(model: HierarchicalModel, ids: tuple[str, ...], values: Array) -> float:
+    """How many landmarks' values are independent: those of one area share its frame's error."""
+    frames = {area: one.covariance for area, one in model.environment.areas}
+    homes = {landmark.id: landmark.area for landmark in model.landmarks}
+    landmarks = {landmark.id: landmark for landmark in model.landmarks}
+    groups: dict[str, list[float]] = {}
+    for id_, value in zip(ids, values, strict=True):
+        if math.isnan(value):
+            continue
+        whole = float(np.trace(landmark_points(model, [landmarks[id_]]).covariances[0]))
+        of_frame = float(np.trace(frames[homes[id_]][:2, :2]))
+        groups.setdefault(homes[id_], []).append(min(of_frame / whole, 1.0))
+    return independent_of_groups([np.array(group) for group in groups.values()])
 
 
 def _point_nees(

@@ -105,7 +105,11 @@ def wall_corners(reference: ReferenceMap) -> ReferenceCorners:
 
 
 class CornerMetrics(NamedTuple):
-    """Corners found; nan where there is nothing to divide by."""
+    """Corners found; nan where there is nothing to divide by.
+
+    pairs: (matched, 2) of a corner of the model with a true one. true: (m, 2) corners of walls,
+    then of furniture. missed: indices of those that were asked for and not found.
+    """
 
     precision: float
     recall: float
@@ -113,6 +117,9 @@ class CornerMetrics(NamedTuple):
     found: int
     asked: int
     matched: int
+    pairs: NDArray[np.int64]
+    true: Array
+    missed: tuple[int, ...]
 
     def metrics(self) -> tuple[Metric, ...]:
         """The figures under the names of eval.json, those that could be measured."""
@@ -144,6 +151,7 @@ def corner_metrics(
     asked = _in_visited(walls.points, reference)
     asked[asked] = _seen(walls.select(asked), reference, views, view)
     recalled = asked[pairs[pairs[:, 1] < len(asked), 1]]
+    missed = np.setdiff1d(np.flatnonzero(asked), pairs[:, 1])
     error = model.corners.points[pairs[:, 0]] - true[pairs[:, 1]]
     return CornerMetrics(
         precision=ratio(len(pairs), len(model.corners.points)),
@@ -152,6 +160,9 @@ def corner_metrics(
         found=len(model.corners.points),
         asked=int(asked.sum()),
         matched=len(pairs),
+        pairs=pairs,
+        true=true,
+        missed=tuple(missed.tolist()),
     )
 
 

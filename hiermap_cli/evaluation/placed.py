@@ -60,12 +60,16 @@ class PlacedArea:
 
 @dataclass(frozen=True, slots=True)
 class PlacedModel:
-    """Corners, landmark segments (s, 2, 2) as end points, doors and areas, in frame t."""
+    """Corners, landmark segments (s, 2, 2) as end points, doors and areas, in frame t.
+
+    owners: (s,) id of the landmark that each segment belongs to.
+    """
 
     corners: PlacedPoints
     segments: Array
     doors: tuple[PlacedDoor, ...]
     areas: tuple[PlacedArea, ...]
+    owners: tuple[str, ...] = ()
 
 
 def is_corner(landmark: LandmarkModel) -> bool:
@@ -107,13 +111,16 @@ def place(model: HierarchicalModel, R_t_g: Array) -> PlacedModel:
     R_g_a = {area: estimate.mean for area, estimate in model.environment.areas}
     R_a_l = {(area.id, l): estimate.mean for area in model.areas for l, estimate in area.landmarks}
     segments: list[Array] = []
+    owners: list[str] = []
     for landmark in model.landmarks:
         R_t_l = compose(R_t_g, compose(R_g_a[landmark.area], R_a_l[landmark.area, landmark.id]))
-        segments.extend(
+        own = [
             move_points(R_t_l, feature.endpoints)
             for feature in landmark.features
             if isinstance(feature, SegmentFeature)
-        )
+        ]
+        segments += own
+        owners += [landmark.id] * len(own)
     return PlacedModel(
         corners=landmark_points(model, filter(is_corner, model.landmarks)).moved(R_t_g),
         segments=np.array(segments).reshape(-1, 2, 2),
@@ -130,4 +137,5 @@ def place(model: HierarchicalModel, R_t_g: Array) -> PlacedModel:
             PlacedArea(area.id, move_points(compose(R_t_g, R_g_a[area.id]), area.extent))
             for area in model.areas
         ),
+        owners=tuple(owners),
     )

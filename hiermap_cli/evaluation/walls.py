@@ -22,12 +22,16 @@ WALL_RADIUS = 0.5  # metres; an end point farther from every wall is an outlier
 
 
 class WallMetrics(NamedTuple):
-    """End points of landmark segments against walls and furniture."""
+    """End points of landmark segments against walls and furniture.
+
+    distances: (s, 2) metres of both ends of every segment of the model.
+    """
 
     rmse: float
     outliers: float
     ends: int
     near: int
+    distances: Array
 
     def metrics(self) -> tuple[Metric, ...]:
         """The figures under the names of eval.json, those that could be measured."""
@@ -49,6 +53,7 @@ def wall_metrics(model: PlacedModel, reference: ReferenceMap) -> WallMetrics | N
         outliers=ratio(int((~near).sum()), len(distance)),
         ends=len(distance),
         near=int(near.sum()),
+        distances=distance.reshape(-1, 2),
     )
 
 

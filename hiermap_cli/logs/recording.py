@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class InputReport:
-    """What was read. `dropped` counts by reason what was left out or needed mending."""
+    """What was read.
+
+    `dropped` counts by reason what was left out or needed mending. `laser`: angles of the first and
+    the last beam of the first scan in the robot's frame, radians, and its reach, metres.
+    """
 
     log: str
     format: str
@@ -41,6 +46,7 @@ class InputReport:
     dropped: dict[str, int]
     warnings: tuple[str, ...]
     lost: tuple[str, ...]
+    laser: dict[str, float] = field(default_factory=dict)
 
 
 def open_recording(paths: Sequence[Path], options: InputConfig) -> Recording:
@@ -127,7 +133,15 @@ class Recording:
             dropped={reason: n for reason, n in sorted(counts.items()) if n},
             warnings=(*self.plan.warnings, *self._late_warnings()),
             lost=tuple(self.source.losses),
+            laser=self._laser(),
         )
+
+    def _laser(self) -> dict[str, float]:
+        laser, mount = self.plan.first_laser, self.mount
+        angles = laser.angle_min, laser.angle_min + (laser.beams - 1) * laser.angle_increment
+        seen = [mount.yaw - angle if mount.flipped else mount.yaw + angle for angle in angles]
+        reach = laser.range_max if math.isfinite(laser.range_max) else 0.0
+        return {"first_angle": min(seen), "last_angle": max(seen), "range_max": reach}
 
     def _late_warnings(self) -> list[str]:
         """What only reading shows."""

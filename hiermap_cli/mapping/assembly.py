@@ -58,7 +58,7 @@ def assemble(mapper: Mapper, by_filter: Levels, levels: Levels, laser_x: float =
     doors = _doors(rooms.portals, levels, found)
     areas = tuple(_area(rooms, one, i, doors) for i, one in enumerate(found))
     landmarks = tuple(model for i, one in enumerate(found) for model in _landmarks(one, i))
-    trust = Trust.of(mapper, found)
+    trust = Trust.of(mapper, found, by_filter.loops)
     return MapResult(
         model=HierarchicalModel(_environment(levels, found, doors), areas, landmarks),
         trajectory=levels.trajectory,

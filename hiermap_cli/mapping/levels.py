@@ -46,7 +46,7 @@ class Levels(NamedTuple):
     maps: V and C(V) of each area, seen from its door's frame. frames: (K, 3) these frames in g.
     covariance: (3 + 3 K, 3 + 3 K) joint invariant covariance of V = (robot in g, frames).
     robot: (3,) in g. shifts: (K, 3) each area's door frame in the frame it was filtered in.
-    trajectory: the robot in g at every scan.
+    trajectory: the robot in g at every scan. loops: what each loop said before any was used.
     """
 
     maps: tuple[StochasticMap, ...]
@@ -55,6 +55,7 @@ class Levels(NamedTuple):
     robot: Array
     shifts: Array
     trajectory: Trajectory
+    loops: tuple[LoopResidual, ...] = ()
 
     def frame_covariance(self, i: int) -> Array:
         """Invariant covariance (3, 3) of frame i in g."""
@@ -82,14 +83,8 @@ def compose_levels(mapper: Mapper) -> Levels:
         robot=robot,
         shifts=shifts,
         trajectory=_trajectory(environment, mapper.trail),
+        loops=tuple(loop_residuals(anchors, links, start, np.zeros((3, 3)))),
     )
-
-
-def residuals_of_loops(mapper: Mapper) -> list[LoopResidual]:
-    """What each loop of a mapper says against what was known before any of them."""
-    anchors, index = _anchors(mapper.areas)
-    links = [Link(p.a, index[p.a][p.anchor_a], p.b, index[p.b][p.anchor_b]) for p in mapper.portals]
-    return loop_residuals(anchors, links, np.array(mapper.config.start_pose), np.zeros((3, 3)))
 
 
 def change_frame(V: StochasticMap, R_a_b: Array) -> StochasticMap:

@@ -14,13 +14,13 @@ import numpy as np
 
 from hiermap_cli.mapping.area_map import END
 from hiermap_cli.mapping.innovations import Sums
-from hiermap_cli.mapping.levels import residuals_of_loops
 from hiermap_cli.mapping.metrics import metric
 from hiermap_cli.mapping.model import Metric
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from hiermap_cli.mapping.environment import LoopResidual
     from hiermap_cli.mapping.found_areas import FoundArea
     from hiermap_cli.mapping.mapper import Mapper
 
@@ -48,8 +48,11 @@ class Trust:
     loops: tuple[Loop, ...]
 
     @classmethod
-    def of(cls, mapper: Mapper, found: Sequence[FoundArea]) -> Trust:
-        """Of a mapper that has taken in the whole log, by the areas of the result."""
+    def of(cls, mapper: Mapper, found: Sequence[FoundArea], loops: Sequence[LoopResidual]) -> Trust:
+        """Of a mapper that has taken in the whole log, by the areas of the result.
+
+        loops: by the filter, before any of them was used.
+        """
         areas: dict[str, Sums] = {}
         kinds: dict[str, Sums] = {}
         for i, one in enumerate(found):
@@ -68,7 +71,7 @@ class Trust:
             whole=_total(areas.values()),
             areas=areas,
             kinds=dict(sorted(kinds.items())),
-            loops=_loops(mapper, found),
+            loops=_loops(loops, found),
         )
 
     def metrics(self) -> tuple[Metric, ...]:
@@ -129,9 +132,9 @@ def _by_joined_uid(mapper: Mapper, one: FoundArea) -> dict[int, Sums]:
     }
 
 
-def _loops(mapper: Mapper, found: Sequence[FoundArea]) -> tuple[Loop, ...]:
+def _loops(loops: Sequence[LoopResidual], found: Sequence[FoundArea]) -> tuple[Loop, ...]:
     number = {p: f"A{i + 1}" for i, one in enumerate(found) for p in one.area.parts}
     return tuple(
         Loop((number[one.link.a], number[one.link.b]), tuple(one.between.tolist()), one.nis)
-        for one in residuals_of_loops(mapper)
+        for one in loops
     )
