@@ -246,9 +246,12 @@ class LoopConfig(Section):
     merge_gap: Positive = Field(0.3, description="metres unseen within one wall")
     min_wall: Positive = Field(0.3, description="metres of a wall that is matched")
     min_once: Positive = Field(1.0, description="metres of a wall that one scan alone has seen")
-    chain_inflation: Positive = Field(4.0, description="of the path's variances")
+    chain_inflation: Positive = Field(2.5, description="of the path's variances")
     chain_floor: NonNegative = Field(0.03, description="metres added for each fragment")
     chain_floor_angle: NonNegative = Field(0.005, description="radians added for each fragment")
+    broken_gate: Positive = Field(
+        25.0, description="chi-square between the filter and the odometry, of a broken step"
+    )
     broken_floor: Positive = Field(0.15, description="metres, likewise over a broken step")
     broken_floor_angle: Positive = Field(0.08, description="radians, likewise")
     step_floor: Positive = Field(0.05, description="metres that the filter may correct a step")
@@ -256,8 +259,8 @@ class LoopConfig(Section):
     near_distance: Positive = Field(6.0, description="metres between fragments that see the same")
     max_shift: Positive = Field(8.0, description="metres that a loop may move a fragment")
     max_turn: Positive = Field(0.6, description="radians that a loop may turn a fragment")
-    window_sigmas: Positive = Field(4.0, description="within which a fragment is searched for")
-    gate: Positive = Field(25.0, description="chi-square, 3 degrees, of a cycle that is closed")
+    window_sigmas: Positive = Field(3.0, description="within which a fragment is searched for")
+    gate: Positive = Field(11.3, description="chi-square, 3 degrees, of a cycle that is closed")
     least_steps: int = Field(2, ge=1, description="fragments between those of a loop, at least")
     partners: int = Field(12, ge=1, description="earlier fragments that each one is matched with")
     max_angle: Positive = Field(0.07, description="radians between a wall and the same one")
@@ -282,14 +285,17 @@ class LoopConfig(Section):
     )
     sure_sigma_angle: Positive = Field(0.1, description="radians of sigma, likewise")
     near_sigma: Positive = Field(
-        0.5, description="metres of sigma between loops that can be witnesses of each other"
+        1.0, description="metres of sigma between loops that can be witnesses of each other"
     )
     near_fragments: int = Field(8, ge=1, description="fragments between such loops, at most")
     agree_gate: Positive = Field(11.3, description="chi-square of loops that ask for the same")
     agree: Positive = Field(0.15, description="metres between a loop and the filter, as witnesses")
     agree_angle: Positive = Field(0.05, description="radians, likewise")
     loss_scale: Positive = Field(3.0, description="sigmas at which a loop begins to count less")
-    rounds: int = Field(3, ge=1, description="times that loops are asked for")
+    news: Positive = Field(
+        0.7, lt=1, description="of its sigma, to which a place must be better known to ask again"
+    )
+    rounds: int = Field(8, ge=1, description="times that loops are asked for, at most")
 
 
 class RefineConfig(Section):
