@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,51 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]
     Mask = NDArray[np.bool_]
+
+
+class Asked(NamedTuple):
+    """Pairs of N fragments that were asked for: key (n,), R_i_j (n, 3), sigma (n,) in metres."""
+
+    key: Index
+    R_i_j: Array
+    sigma: Array
+
+    def news(self, now: Candidates, config: LoopConfig) -> Candidates:
+        """Those candidates that were not asked for yet, or of which more is known by now."""
+        if not len(self.key):
+            return now
+        key, sigma = _key(now), _sigma(now)
+        at = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
+        off = se2.between(self.R_i_j[at], now.R_i_j)
+        same = (self.key[at] == key) & (sigma > config.news * self.sigma[at])
+        same &= np.hypot(off[:, 0], off[:, 1]) < (1.0 - config.news) * self.sigma[at]
+        return now.rows(~same)
+
+    def joined(self, anew: Candidates) -> Asked:
+        """With what is asked for now, the last asking counts."""
+        key = np.concatenate((_key(anew), self.key))
+        _, first = np.unique(key, return_index=True)
+        R = np.concatenate((anew.R_i_j, self.R_i_j))
+        sigma = np.concatenate((_sigma(anew), self.sigma))
+        return Asked(key[first], R[first], sigma[first])
+
+
+def nothing_asked() -> Asked:
+    """Before the first question."""
+    return Asked(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0))
+
+
+def among(edges: Edges, asked: Candidates, count: int) -> Mask:
+    """Which edges join fragments, of `count`, that are asked for."""
+    return np.isin(edges.i * count + edges.j, asked.i * count + asked.j)
+
+
+def _key(pairs: Candidates) -> Index:
+    return pairs.i << 32 | pairs.j
+
+
+def _sigma(pairs: Candidates) -> Array:
+    return np.sqrt(position_variance(pairs.C_i_j, pairs.R_i_j))
 
 
 def candidates(

@@ -49,7 +49,7 @@ def steps_of(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseScale
     r = se2.log(off)
     floor = np.square([loops.step_floor, loops.step_floor, loops.step_floor_angle])
     S = Q[1:] + np.diag(floor)
-    broken[1:] |= np.einsum("ni,nij,nj->n", r, np.linalg.inv(S), r) > loops.gate
+    broken[1:] |= np.einsum("ni,nij,nj->n", r, np.linalg.inv(S), r) > loops.broken_gate
     broken[0] = False
     fault = np.square([c.fault_sigma_xy, c.fault_sigma_xy, c.fault_sigma_theta])
     Q[broken] += np.diag(fault)

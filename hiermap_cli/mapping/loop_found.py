@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.mapping.loop_evidence import Evidence
-from hiermap_cli.mapping.loop_graph import Edges, joined, moved
+from hiermap_cli.mapping.loop_graph import Edges, joined, moved, no_edges
 from hiermap_cli.mapping.loop_sight import Beams, crossing_share
 
 if TYPE_CHECKING:
@@ -67,6 +67,14 @@ def believable(
     crossing = crossing_share(fragments, beams, i, j, R, config)
     found = Found(Edges(i, j, R, C), matches.evidence, matches.second, matches.chi2, crossing)
     return found.rows(crossing < config.max_crossing)
+
+
+def nothing_found() -> Found:
+    """No loops."""
+    none = np.zeros(0)
+    count = np.zeros(0, dtype=np.int64)
+    evidence = Evidence(none, none, count, count, np.zeros((0, 3, 3)))
+    return Found(no_edges(), evidence, none, none, none)
 
 
 def merged(a: Found, b: Found) -> Found:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hiermap_cli.mapping.fragments import Fragments, fragments_of
-from hiermap_cli.mapping.loop_candidates import candidates
+from hiermap_cli.mapping.loop_candidates import among, candidates, nothing_asked
 from hiermap_cli.mapping.loop_chain import broken_between, carried, chain, steps_of
 from hiermap_cli.mapping.loop_choice import Verdict, judge
-from hiermap_cli.mapping.loop_found import Found, believable, merged
-from hiermap_cli.mapping.loop_graph import Edges, chi2, joined, no_edges, solved, ways
+from hiermap_cli.mapping.loop_found import Found, believable, merged, nothing_found
+from hiermap_cli.mapping.loop_graph import Edges, chi2, joined, solved, ways
 from hiermap_cli.mapping.loop_matching import match
 from hiermap_cli.mapping.loop_sight import beams_of
 from hiermap_cli.mapping.model import Event
@@ -93,20 +93,24 @@ def close_loops(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseSc
     path = chain(fragments, poses, steps, config)
     broken = broken_between(fragments, steps)
     frames = poses[fragments.centre]
-    known = no_edges()
-    found: Found | None = None
+    found, asked = nothing_found(), nothing_asked()
     closed = np.zeros(0, dtype=bool)
     verdict: Verdict | None = None
     for _ in range(c.rounds):
-        net = ways(frames, joined((path, known)))
-        asked = candidates(fragments, net, known, broken, c)
-        seen = believable(fragments, beams, match(fragments, asked, c), asked, c)
-        if found is not None:
-            seen = merged(found.rows(closed), seen)
-        found, verdict = seen, judge(seen.edges, seen.evidence.overlap, seen.second, net, c)
-        frames, closed = _settled(frames, path, found, verdict, c)
         known = found.edges.rows(closed)
-    assert found is not None
+        net = ways(frames, joined((path, known)))
+        anew = asked.news(candidates(fragments, net, known, broken, c), c)
+        asked = asked.joined(anew)
+        # What is not asked for again still stands as it was found.
+        kept = closed | ~among(found.edges, anew, len(frames))
+        seen = believable(fragments, beams, match(fragments, anew, c), anew, c)
+        closed = np.concatenate((closed[kept], np.zeros(len(seen.chi2), dtype=bool)))
+        found = merged(found.rows(kept), seen)
+        verdict = judge(found.edges, found.evidence.overlap, found.second, net, c)
+        before = int(closed.sum())
+        frames, closed = _settled(frames, path, found, verdict, c)
+        if int(closed.sum()) <= before:
+            break
     assert verdict is not None
     moved = carried(fragments, poses, frames, steps.covariance)
     edges, events = _told(keyscans, fragments, found, verdict, closed)
