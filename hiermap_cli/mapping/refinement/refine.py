@@ -15,6 +15,7 @@ from hiermap_cli.estimation.motion import LASER_X
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR
 from hiermap_cli.mapping.levels import Levels, change_frame, door_frames
+from hiermap_cli.mapping.loops import LoopResult, close_loops
 from hiermap_cli.mapping.refinement.matches import (
     all_matches,
     filter_labels,
@@ -49,6 +50,7 @@ class Refined(NamedTuple):
     levels: Levels
     solution: Solution
     matched: Matched
+    loops: LoopResult
 
 
 def refine(mapper: Mapper, levels: Levels) -> Refined:
@@ -63,6 +65,8 @@ def refine(mapper: Mapper, levels: Levels) -> Refined:
     poses = se2.compose(levels.trajectory.poses[np.array(mapper.trail.key_at)], L)
     start = np.array(config.start_pose)
     poses = se2.compose(start, se2.between(poses[0], poses))
+    loops = close_loops(keyscans, poses, config, mapper.noise)
+    poses = se2.compose(start, se2.between(loops.poses[0], loops.poses))
     nothing = np.zeros(0, dtype=np.int64)
     state = State(
         poses,
@@ -73,7 +77,7 @@ def refine(mapper: Mapper, levels: Levels) -> Refined:
     noise = segment_noise(keyscans.segments, config.filter, mapper.noise)
     solution, matched = solve(state, keyscans, noise, mapper.noise.odometry, config)
     areas, refined = _seen_anew(mapper, keyscans, solution, matched)
-    return Refined(areas, refined, solution, matched)
+    return Refined(areas, refined, solution, matched, loops)
 
 
 def solve(
