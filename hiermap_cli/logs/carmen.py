@@ -44,7 +44,7 @@ OTHERS = (b"PARAM", b"SYNC", b"NEFF", b"TRUEPOS", b"COMMENT", b"MARKER", b"NMEA-
 KNOWN = frozenset((*LASERS, *OTHERS, b"ODOM"))
 SNIFF_LINES = 1000  # lines looked at for the topics of a log
 
-_BATCH = 64  # lines read together
+_BATCH = 128  # lines read together
 
 _FULL_CIRCLE = 2.0 * math.pi
 _LASER_PARAMS = {b"offset": 0, b"side_offset": 1, b"angular_offset": 2}

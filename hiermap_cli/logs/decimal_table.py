@@ -1,4 +1,10 @@
-"""Decimal numbers of many lines at once: the ranges of laser lines are nearly all of a log."""
+"""Decimal numbers of many lines at once: the ranges of laser lines are nearly all of a log.
+
+The eight characters up to the end of a number are one integer of 64 bits, and all steps are taken
+on these: the dot is found and closed up, the characters are held to be digits, and the digits
+become a number by three multiplications (Lemire, "Number parsing at a gigabyte per second",
+Software: Practice and Experience 51, 2021).
+"""
 
 from __future__ import annotations
 
@@ -11,8 +17,23 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_SPACE, _DOT, _ZERO = ord(" "), ord("."), ord("0")
-_LONGEST = 6  # characters of a number, so that its digits fit easily into an int32
+_SPACE = ord(" ")
+_LONGEST = 8  # characters of a number
+
+
+def _eight(byte: int) -> np.uint64:
+    """The same byte eight times."""
+    return np.uint64(byte * 0x0101_0101_0101_0101)
+
+
+_DOTS, _ZEROS = _eight(ord(".")), _eight(ord("0"))
+_ONES, _HIGHEST, _ABOVE_NINE = _eight(1), _eight(0x80), _eight(0x80 - 10)
+_ALL = _eight(0xFF)
+_PLACES = np.uint64(0x0706_0504_0302_0100)  # byte k is k
+_PAIRS = np.uint64(0x0000_00FF_0000_00FF)
+_FIRST_THIRD = np.uint64(100 + (1_000_000 << 32))
+_SECOND_FOURTH = np.uint64(1 + (10_000 << 32))
+_POWERS = 10.0 ** np.arange(8)
 
 
 class Table(NamedTuple):
@@ -25,15 +46,15 @@ class Table(NamedTuple):
 def read_table(lines: Sequence[bytes], skip: int, count: int) -> Table | None:
     """The `count` numbers behind the first `skip` words of every line.
 
-    Reads numbers of digits and at most one dot, of at most six characters, with one space
+    Reads numbers of digits and at most one dot, of at most eight characters, with one space
     between two words; gives None where a line has anything else, or too few words. The values
     are those of `float`: an integer of the digits over a power of ten, rounded once.
     """
-    text = b" ".join(lines) + b" "
+    text = b" " * _LONGEST + b" ".join(lines) + b" "
     characters = np.frombuffer(text, dtype=np.uint8)
     spaces = np.flatnonzero(characters == _SPACE)
     lengths = np.fromiter(map(len, lines), dtype=np.int64, count=len(lines))
-    line_ends = np.cumsum(lengths + 1) - 1
+    line_ends = _LONGEST + np.cumsum(lengths + 1) - 1
     begins = line_ends - lengths
     first = np.searchsorted(spaces, begins)
     last = first + skip + count - 1
@@ -44,30 +65,33 @@ def read_table(lines: Sequence[bytes], skip: int, count: int) -> Table | None:
     widths = ends - bounds[:, :-1] - 1
     if widths.min() < 1 or widths.max() > _LONGEST:
         return None
-    values = _numbers(characters, ends, widths)
+    every = np.ndarray((len(text) - 7,), np.dtype("<u8"), text, strides=(1,))
+    values = _numbers(every[ends - 8].astype(np.uint64, copy=False), widths.astype(np.uint64))
     return None if values is None else Table(values, ends[:, -1] - begins)
 
 
-def _numbers(
-    characters: NDArray[np.uint8], ends: NDArray[np.int64], widths: NDArray[np.int64]
-) -> NDArray[np.float32] | None:
-    """The numbers that end before `ends`, digit by digit from the last one."""
-    digits = np.zeros(ends.shape, dtype=np.int32)
-    power = np.ones(ends.shape, dtype=np.int32)
-    scale = np.ones(ends.shape, dtype=np.int32)
-    dots = np.zeros(ends.shape, dtype=np.int8)
-    for place in range(1, int(widths.max()) + 1):
-        character = characters[ends - place]
-        inside = widths >= place
-        dot = inside & (character == _DOT)
-        digit = character - np.uint8(_ZERO)  # what is below "0" wraps to more than nine
-        is_digit = inside & ~dot
-        if (digit[is_digit] > 9).any():
-            return None
-        np.copyto(scale, power, where=dot)
-        dots += dot
-        digits += np.where(is_digit, digit, 0) * power
-        np.multiply(power, 10, out=power, where=is_digit)
-    if (dots > 1).any() or (widths == dots).any():
+def _numbers(words: NDArray[np.uint64], widths: NDArray[np.uint64]) -> NDArray[np.float32] | None:
+    """The numbers that are the last `widths` (1 to 8) characters of words of eight.
+
+    The last character of a word is its highest byte. None where one is no number.
+    """
+    others = 64 - 8 * widths
+    words = (words >> others) << others
+    # Of the bytes that are a dot the lowest: its highest bit, or 0 where there is none.
+    dot = words ^ _DOTS
+    dot = (dot - _ONES) & ~dot & _HIGHEST
+    dot &= ~dot + np.uint64(1)
+    has_dot = (dot != 0).astype(np.uint64)
+    if (widths == has_dot).any():
         return None
-    return (digits / scale).astype(np.float32)
+    # What is before the dot moves up into its place.
+    before = (dot >> 7) - has_dot
+    words = (words & ~(dot | (dot - has_dot))) | ((words & before) << 8)
+    digits = words ^ (_ZEROS & (_ALL << (others + 8 * has_dot)))
+    if ((digits | (digits + _ABOVE_NINE)) & _HIGHEST).any():
+        return None
+    digits = 10 * digits + (digits >> 8)
+    pairs = (digits & _PAIRS) * _FIRST_THIRD + ((digits >> 16) & _PAIRS) * _SECOND_FOURTH
+    decimals = ((dot >> 7) * _PLACES) >> 56
+    values: NDArray[np.float32] = ((pairs >> 32) / _POWERS[decimals]).astype(np.float32)
+    return values

@@ -58,11 +58,11 @@ def translate(
     `range_min` and `range_max` must be numbers that float32 holds (`float32`).
     """
     out = np.array(ranges, dtype=np.float32)
-    np.putmask(out, out >= np.float32(range_max), _NOTHING)
-    # The comparison is written so that nan fails it, and zero too where range_min is zero.
-    keep = out >= np.float32(max(range_min, _LEAST))
-    if not keep.all():
-        out[~keep] = np.nan
+    np.putmask(out, out >= range_max, _NOTHING)
+    # The comparisons are written so that nan fails them, and zero too where range_min is zero.
+    least = max(range_min, _LEAST)
+    if not out.min(initial=_NOTHING) >= least:
+        np.putmask(out, ~(out >= least), np.nan)
     return out
 
 
