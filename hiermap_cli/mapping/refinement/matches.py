@@ -106,15 +106,16 @@ def wall_lines(walls: Walls) -> Array:
 
 
 def match_segments(
-    walls: Walls, where: Placed, segments: ScanSegments, offset: float, config: RefineConfig
+    walls: Walls, where: Placed, segments: ScanSegments, scale: float, config: RefineConfig
 ) -> Index:
     """The wall on which each segment lies, or -1: the nearest line of those that it overlaps."""
+    offset, angle = scale * config.match_offset, scale * config.match_angle
     labels = np.full(len(segments.scan), -1)
     use = np.flatnonzero(segments.length >= config.min_length)
     i, j = near_pairs(walls, where.ends[use], offset)
     i = use[i]
     W = walls.poses[j]
-    alike = np.cos(where.theta[i] - W[:, 2]) > np.cos(config.match_angle)
+    alike = np.cos(where.theta[i] - W[:, 2]) > np.cos(angle)
     i, j, W = i[alike], j[alike], W[alike]
     c, s = np.cos(W[:, 2]), np.sin(W[:, 2])
     d = where.centre[i] - W[:, :2]
@@ -130,11 +131,12 @@ def match_segments(
     return labels
 
 
-def merge_walls(walls: Walls, offset: float, config: RefineConfig) -> Index:
-    """A number for each wall, the same for walls that are one, within `offset` metres."""
+def merge_walls(walls: Walls, scale: float, config: RefineConfig) -> Index:
+    """A number for each wall, the same for walls that are one; `scale` is on what parts them."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
+    offset, angle = scale * config.merge_offset, scale * config.merge_angle
     lines = wall_lines(walls)
     i, j = near_pairs(walls, lines, offset)
     i, j = i[i < j], j[i < j]
@@ -148,7 +150,7 @@ def merge_walls(walls: Walls, offset: float, config: RefineConfig) -> Index:
     along = c[:, None] * d[..., 0] + s[:, None] * d[..., 1]
     overlap = np.minimum(along[:, 1], walls.hi[other]) - np.maximum(along[:, 0], walls.lo[other])
     one = (
-        (np.cos(walls.poses[short, 2] - W[:, 2]) > np.cos(config.merge_angle))
+        (np.cos(walls.poses[short, 2] - W[:, 2]) > np.cos(angle))
         & (off < offset)
         & (overlap > config.merge_overlap * long[short])
     )

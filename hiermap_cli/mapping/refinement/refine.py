@@ -89,11 +89,11 @@ def solve(
     n = int(tracks.max(initial=-1)) + 1
     for k, scale in enumerate(c.scales):
         where = placed(state, s)
-        one = merge_walls(fit_walls(where, tracks, s.length, n), scale * c.merge_offset, c)
+        one = merge_walls(fit_walls(where, tracks, s.length, n), scale, c)
         labels = np.where(tracks >= 0, one[tracks], -1)
         count = int(one.max(initial=-1)) + 1
         walls = fit_walls(where, labels, s.length, count)
-        labels = match_segments(walls, where, s, scale * c.match_offset, c)
+        labels = match_segments(walls, where, s, scale, c)
         state = state._replace(walls=fit_walls(where, labels, s.length, count))
         state, matched = all_matches(state, labels, s, noise, c)
         last = k + 1 == len(c.scales)
