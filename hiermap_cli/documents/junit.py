@@ -48,6 +48,11 @@ def junit_xml(name: str, cases: Iterable[Case]) -> bytes:
         written: Any = TestCase(xml_text(case.name), classname=xml_text(case.suite))
         if case.seconds is not None:
             written.time = round(case.seconds, 3)
+        if case.properties:
+            properties: Any = Properties()  # type: ignore[no-untyped-call]
+            for key, value in case.properties.items():
+                properties.add_property(Property(xml_text(key), xml_text(value)))
+            written.append(properties)
         for kind, reason in (
             (Failure, case.failure),
             (Error, case.error),
@@ -57,11 +62,6 @@ def junit_xml(name: str, cases: Iterable[Case]) -> bytes:
                 outcome = kind(xml_text(reason))
                 outcome.text = xml_text(reason)
                 written.result = [outcome]
-        if case.properties:
-            properties: Any = Properties()  # type: ignore[no-untyped-call]
-            for key, value in case.properties.items():
-                properties.add_property(Property(xml_text(key), xml_text(value)))
-            written.append(properties)
         if case.output:
             written.system_out = xml_text(case.output)
         suite.add_testcase(written)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Mask = NDArray[np.bool_]
 
+# What map_saver writes for unknown; many maps come with a free_thresh by which it would be free.
+_UNKNOWN = 205 / 255
 MAX_PIXELS = 200_000_000
 
 
@@ -87,7 +89,7 @@ def read_map_server(path: Path) -> OccupancyGrid:
         percent = np.round(grey * 255.0)
         share, known = percent / 100.0, percent <= 100.0
     else:
-        share, known = grey if said.negate else 1.0 - grey, np.ones(grey.shape, dtype=bool)
+        share, known = (grey if said.negate else 1.0 - grey), grey != _UNKNOWN
     occupied = known & (share > said.occupied_thresh)
     free = known & (share < said.free_thresh)
     if not occupied.any():

@@ -255,9 +255,25 @@ def _area(entry: dict[str, Any], place: str, faults: list[str]) -> ReferenceArea
     if abs(_twice_area(corners)) < 1e-9:
         faults.append(f"{place}.polygon: has no area")
         sound = False
+    elif crossing := _crossing(corners):
+        faults.append(f"{place}.polygon: {crossing}")
+        sound = False
     if not sound or common is None:
         return None
     return ReferenceArea(common[0], kind, corners, common[1])
+
+
+def _crossing(corners: Array) -> str:
+    """Where a polygon (m, 2) crosses or touches itself; empty where it does not."""
+    import shapely  # only reference maps need it
+
+    polygon = shapely.Polygon(corners)
+    if polygon.is_valid:
+        return ""
+    reason: str = shapely.is_valid_reason(polygon)
+    what, _, where = reason.partition("[")
+    x, _, y = where.rstrip("]").partition(" ")
+    return f"crosses itself ({what.strip().lower()}) at [{float(x):g}, {float(y):g}]"
 
 
 def _twice_area(corners: Array) -> float:
