@@ -288,6 +288,9 @@ class LoopConfig(Section):
         1.0, description="metres of sigma between loops that can be witnesses of each other"
     )
     near_fragments: int = Field(8, ge=1, description="fragments between such loops, at most")
+    witness_gate: Positive = Field(
+        4.5, description="chi-square, 3 degrees, of a cycle that only other loops are witness of"
+    )
     agree_gate: Positive = Field(11.3, description="chi-square of loops that ask for the same")
     agree: Positive = Field(0.15, description="metres between a loop and the filter, as witnesses")
     agree_angle: Positive = Field(0.05, description="radians, likewise")
