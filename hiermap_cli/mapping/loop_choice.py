@@ -76,9 +76,10 @@ def judge(loops: Edges, overlap: Array, second: Array, ways: Ways, config: LoopC
     near |= (
         same & (np.abs(off[:, 2]) < config.agree_angle) & (loops.j - loops.i <= config.least_steps)
     )
-    believed = (
-        (near | (witnesses > 0)) & (second < config.second) & (rival < config.second * support)
-    )
+    # A place that looks alike lies anywhere in the gate, the same place near its middle.
+    likely = ways.chi2(loops) < config.witness_gate
+    believed = (near | ((witnesses > 0) & likely)) & (second < config.second)
+    believed &= rival < config.second * support
     return Verdict(believed, witnesses, support, rival)
 
 

@@ -104,6 +104,13 @@ class Ways(NamedTuple):
             best[better], least[better] = C[better], size[better]
         return best
 
+    def chi2(self, edges: Edges) -> Array:
+        """Squared distances (E,) of edges from the relations as the ways have them."""
+        R = se2.between(self.frames[edges.i], self.frames[edges.j])
+        r = se2.log(se2.compose(edges.R_i_j, se2.invert(R)))
+        C = self.relative(edges.i, edges.j) + edges.C_i_j
+        return np.asarray(np.einsum("ni,nij,nj->n", r, np.linalg.inv(C), r))
+
     def _common(self, t: int, i: Index, j: Index) -> Index:
         """The lowest common ancestors in tree t."""
         up, depth = self.up[t], self.depth[t]
