@@ -35,8 +35,8 @@ def read_wheels(
 ) -> Array:
     """Odometry poses (M, 3) at `seconds` (M,), in a frame that begins at the first of them.
 
-    Without `rng` there is neither noise nor slip; constant faults and bends stay, as they belong
-    to the world.
+    Without `rng` there is neither noise nor slip; constant faults, bends and stretches of faults
+    stay, as they belong to the world.
     """
     poses = np.zeros((len(seconds), 3))
     for first in range(0, len(seconds) - 1, _CHUNK):
@@ -45,6 +45,7 @@ def read_wheels(
         if rng is not None:
             increments = _with_noise(increments, spec, rng)
         increments = _with_bends(increments, moments, journey, spec)
+        increments = _with_faults(increments, moments, spec)
         poses[first : first + len(moments)] = _integrated(poses[first], increments)
     return poses if rng is None else np.round(poses, _DECIMALS)
 
@@ -101,4 +102,18 @@ def _with_bends(increments: Array, seconds: Array, journey: Journey, spec: Odome
         share = np.diff(done)
         if share.any():
             increments = compose(increments, exp(share[:, None] * log(np.array(bend.bend))))
+    return increments
+
+
+def _with_faults(increments: Array, seconds: Array, spec: OdometrySpec) -> Array:
+    """Increments (n, 3) between `seconds` (n + 1,), those that end in a stretch of faults spoilt."""
+    for fault in spec.faults:
+        inside = (seconds[1:] > fault.begin) & (seconds[1:] <= fault.end)
+        if inside.any():
+            twist = log(increments)
+            if fault.kind == "reversed":
+                twist[inside, :2] *= -1.0
+            else:
+                twist[inside] = 0.0
+            increments = exp(twist)
     return increments

@@ -154,6 +154,22 @@ class SlipSpec(Section):
     sigma_rotation: NonNegative = Field(0.03, description="radians")
 
 
+class WheelFaultSpec(Section):
+    """A stretch of time over which odometry does not tell what the robot does."""
+
+    kind: Literal["reversed", "missing"] = Field(
+        description="the distance with the wrong sign, or no motion at all"
+    )
+    begin: NonNegative = Field(description="seconds after the start")
+    end: Positive = Field(description="seconds after the start")
+
+    @model_validator(mode="after")
+    def _span(self) -> WheelFaultSpec:
+        if self.end <= self.begin:
+            raise ValueError("end is not after begin")
+        return self
+
+
 class OdometrySpec(Section):
     """The wheels: the noise model of the estimator's configuration, under the same names.
 
@@ -172,6 +188,7 @@ class OdometrySpec(Section):
     curvature: float = Field(0.0, description="rad/m, heading drift over distance")
     slip: SlipSpec = SlipSpec()
     bends: tuple[BendSpec, ...] = ()
+    faults: tuple[WheelFaultSpec, ...] = ()
 
 
 class PeopleSpec(Section):
