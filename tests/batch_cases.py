@@ -18,7 +18,7 @@ import yaml
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-PATIENCE = 60.0  # seconds that a test waits for what must happen soon
+PATIENCE = 30.0  # seconds that a test waits for what must happen soon
 RESULT = {
     "job.json",
     "map.svg",
