@@ -142,10 +142,12 @@ def _merged(
 
 def _on_line(c: Array, t: Array, theta: Array, points: Array, config: LoopConfig) -> Mask:
     """Which segments lie on the lines through c (n, 2) with headings t (n,)."""
-    normal = np.stack((-np.sin(t), np.cos(t)), axis=-1)
-    across = ((points - c[:, None]) * normal[:, None]).sum(axis=-1)
-    near = np.abs(across).max(axis=1) < config.merge_offset
-    on: Mask = near & (np.abs(se2.wrap(theta - t)) < config.merge_angle)
+    on: Mask = np.abs(se2.wrap(theta - t)) < config.merge_angle
+    k = np.flatnonzero(on)
+    sin, cos = np.sin(t[k])[:, None], np.cos(t[k])[:, None]
+    off = points[k] - c[k, None]
+    across = cos * off[..., 1] - sin * off[..., 0]
+    on[k] = (np.abs(across) < config.merge_offset).all(axis=1)
     return on
 
 

@@ -112,6 +112,8 @@ def close_loops(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseSc
         if int(closed.sum()) <= before:
             break
     assert verdict is not None
+    if not closed.any():
+        return LoopResult(poses, *_told(keyscans, fragments, found, verdict, closed))
     moved = carried(fragments, poses, frames, steps.covariance)
     edges, events = _told(keyscans, fragments, found, verdict, closed)
     return LoopResult(moved, edges, events)
