@@ -224,23 +224,6 @@ def test_the_last_increment_is_the_odometry_since_the_last_key_scan():
     assert trail.last_increment() is None
 
 
-def test_the_recent_path_is_the_key_scans_of_this_area():
-    trail = Trail()
-    for i in range(10):
-        trail.key(i, 0, at([0.1 * i, 0.0, 0.0]), carry(np.array([0.1, 0.0, 0.0])))
-    for i in range(10, 16):
-        trail.key(i, 1, at([0.1 * (i - 10), 5.0, 0.0]), carry(np.array([0.1, 0.0, 0.0])))
-    near = trail.recent(1, 0.25)
-    assert near is not None
-    assert near[-1] == pytest.approx([0.5, 5.0, 0.0])
-    assert np.all(np.diff(near[:, 0]) > 0)
-    assert 0.2 <= near[-1, 0] - near[0, 0] <= 0.4
-    everything = trail.recent(1, 100.0)
-    assert everything is not None
-    assert len(everything) == 6
-    assert trail.recent(0, 1.0) is None
-
-
 def test_rows_are_a_list_of_arrays_in_one_block():
     rows = Rows(2, 2)
     given_ = [np.arange(4.0).reshape(2, 2) + i for i in range(5)]

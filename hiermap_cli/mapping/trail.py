@@ -57,6 +57,7 @@ class Rows:
         return np.array(self._values, dtype=dtype).reshape(-1, *self._shape)
 
 
+AT_ONCE = 64  # stretches whose arithmetic is done at one stroke
 _STANDING = np.zeros(3)
 
 
@@ -72,42 +73,85 @@ class Base(NamedTuple):
     covariance: Array
 
 
+class Stretch(NamedTuple):
+    """The way to a key scan: from the key scan before, and the scans in between.
+
+    motion: the odometry all the way, as the filter predicted by it. increments: (w, 3) the
+    odometry from the start to each scan in between.
+    """
+
+    start: Base
+    end: Base
+    motion: Motion
+    increments: list[Array]
+
+
 @dataclass(slots=True)
 class Trail:
     """Poses in areas with the covariances of their invariant errors, appended scan by scan.
 
     Scans between two key scans are carried by odometry from the first and take their share of
-    the correction at the second (`between` keeps them back until it comes).
+    the correction at the second (`between` keeps them back until it comes). The arithmetic of
+    many stretches is done at one stroke, when they are asked for or have become many.
 
-    key_at: where each key scan stands. increments: the odometry since the last key scan, zero
-    at a key scan.
+    key_at: where each key scan stands.
     """
 
     stamps_ns: list[int] = field(default_factory=list)
     area: list[int] = field(default_factory=list)
-    poses: Rows = field(default_factory=lambda: Rows(3))
-    covariances: Rows = field(default_factory=lambda: Rows(3, 3))
-    increments: Rows = field(default_factory=lambda: Rows(3))
     key_at: list[int] = field(default_factory=list)
+    _poses: Rows = field(default_factory=lambda: Rows(3))
+    _covariances: Rows = field(default_factory=lambda: Rows(3, 3))
+    _increments: Rows = field(default_factory=lambda: Rows(3))
     _base: Base | None = None
     _waiting: list[tuple[int, Array]] = field(default_factory=list)
+    _stretches: list[Stretch] = field(default_factory=list)
+
+    @property
+    def poses(self) -> Rows:
+        """The pose of every scan in its area."""
+        self._settle()
+        return self._poses
+
+    @property
+    def covariances(self) -> Rows:
+        """Covariances (3, 3) of their invariant errors."""
+        self._settle()
+        return self._covariances
+
+    @property
+    def increments(self) -> Rows:
+        """The odometry since the last key scan, zero at a key scan."""
+        self._settle()
+        return self._increments
 
     def key(self, stamp_ns: int, area: int, V: StochasticMap, motion: Motion | None = None) -> None:
         """A scan that the filter used: the robot's estimate after it, in its area.
 
         `motion` is the odometry since the last key scan, as the filter predicted by it.
         """
-        base = Base(stamp_ns, area, V.robot, invariant_covariance(V))
-        if motion is not None:
-            self._settle(base, motion)
+        base = Base(stamp_ns, area, V.robot.copy(), invariant_covariance(V))
+        if self._base is None or motion is None:
+            self._settle()
+            self._append(base.pose, base.covariance, _STANDING)
+        else:
+            increments = [increment for _, increment in self._waiting]
+            self._stretches.append(Stretch(self._base, base, motion, increments))
+            for stamp, _ in self._waiting:
+                self.stamps_ns.append(stamp)
+                self.area.append(self._base.area)
+            self._waiting = []
         self.key_at.append(len(self.stamps_ns))
-        self._append(stamp_ns, area, base.pose, base.covariance, _STANDING)
+        self.stamps_ns.append(stamp_ns)
+        self.area.append(area)
         self._base = base
+        if len(self._stretches) >= AT_ONCE:
+            self._settle()
 
     def enter(self, area: int, V: StochasticMap) -> None:
         """The robot, where it is, is now in another area: what follows starts from there."""
         assert self._base is not None
-        self._base = Base(self._base.stamp_ns, area, V.robot, invariant_covariance(V))
+        self._base = Base(self._base.stamp_ns, area, V.robot.copy(), invariant_covariance(V))
 
     def between(self, stamp_ns: int, increment: Array) -> None:
         """A scan too near the last key scan: `increment` is the odometry since then."""
@@ -140,54 +184,66 @@ class Trail:
         if self._waiting:
             base = self._base
             assert base is not None
+            self._settle()
             for stamp, increment in self._waiting:
                 motion = carry(increment)
                 pose = se2.compose(base.pose, motion.pose)
                 Ad = se2.adjoint(pose)
                 C = base.covariance + Ad @ motion.covariance @ Ad.T
-                self._append(stamp, base.area, pose, C, increment)
+                self.stamps_ns.append(stamp)
+                self.area.append(base.area)
+                self._append(pose, C, increment)
             self._waiting = []
 
-    def recent(self, area: int, distance: float) -> Array | None:
-        """The last poses (k, 3) in this area over `distance` metres of path, oldest first."""
-        out: list[Array] = []
-        length = 0.0
-        for i in reversed(self.key_at[-80:]):
-            if self.area[i] != area or length > distance:
-                break
-            if out:
-                length += float(np.hypot(*(self.poses[i][:2] - out[-1][:2])))
-            out.append(self.poses[i])
-        return np.array(out[::-1]) if len(out) > 1 else None
+    def _append(self, pose: Array, C: Array, increment: Array) -> None:
+        self._poses.append(pose)
+        self._covariances.append(C)
+        self._increments.append(increment)
 
-    def _settle(self, key: Base, motion: Motion) -> None:
-        """Place the waiting scans between the last key scan and this one.
+    def _settle(self) -> None:
+        """Place the scans of all stretches."""
+        if self._stretches:
+            poses, C, increments = placed(self._stretches)
+            self._poses.extend(poses)
+            self._covariances.extend(C)
+            self._increments.extend(increments)
+            self._stretches = []
 
-        Odometry carries each from the last key scan; what then remains at this one is shared
-        out by how far each has come. The noise in between is that of a bridge held at both ends.
-        """
-        if not self._waiting:
-            return
-        base = self._base
-        assert base is not None
-        increments = np.array([increment for _, increment in self._waiting])
-        carried = se2.compose(base.pose, increments)
-        rest = se2.log(se2.compose(key.pose, se2.invert(se2.compose(base.pose, motion.pose))))
-        f = np.clip(_progress(increments) / max(float(_progress(motion.pose)), 1e-9), 0.0, 1.0)
-        poses = se2.compose(se2.exp(f[:, None] * rest), carried)
-        Ad = se2.adjoint(key.pose)
-        bridge = Ad @ motion.covariance @ Ad.T
-        for (stamp, increment), pose, g in zip(self._waiting, poses, f.tolist(), strict=True):
-            C = (1.0 - g) * base.covariance + g * key.covariance + g * (1.0 - g) * bridge
-            self._append(stamp, base.area, pose, C, increment)
-        self._waiting = []
 
-    def _append(self, stamp_ns: int, area: int, pose: Array, C: Array, increment: Array) -> None:
-        self.stamps_ns.append(stamp_ns)
-        self.area.append(area)
-        self.poses.append(pose)
-        self.covariances.append(C)
-        self.increments.append(increment)
+def placed(stretches: list[Stretch]) -> tuple[Array, Array, Array]:
+    """Poses (n, 3), covariances (n, 3, 3) and increments (n, 3) of all scans of stretches.
+
+    Odometry carries each scan in between from the stretch's start; what then remains at its end
+    is shared out by how far each has come. The noise in between is that of a bridge held at both
+    ends. The key scan at the end is the last of its stretch, with an increment of zero.
+    """
+    start = np.array([s.start.pose for s in stretches])
+    end = np.array([s.end.pose for s in stretches])
+    C_start = np.array([s.start.covariance for s in stretches])
+    C_end = np.array([s.end.covariance for s in stretches])
+    motion = np.array([s.motion.pose for s in stretches])
+    Q = np.array([s.motion.covariance for s in stretches])
+    rest = se2.log(se2.compose(end, se2.invert(se2.compose(start, motion))))
+    Ad = se2.adjoint(end)
+    bridge = Ad @ Q @ Ad.transpose(0, 2, 1)
+
+    count = np.array([len(s.increments) for s in stretches])
+    of = np.repeat(np.arange(len(stretches)), count)
+    now = np.array([increment for s in stretches for increment in s.increments]).reshape(-1, 3)
+    f = np.clip(_progress(now) / np.maximum(_progress(motion), 1e-9)[of], 0.0, 1.0)
+    carried = se2.compose(start[of], now)
+    g = f[:, None, None]
+
+    last = np.cumsum(count + 1) - 1
+    between = np.ones(len(of) + len(stretches), dtype=bool)
+    between[last] = False
+    poses, increments = np.empty((len(between), 3)), np.zeros((len(between), 3))
+    C = np.empty((len(between), 3, 3))
+    poses[last], C[last] = end, C_end
+    poses[between] = se2.compose(se2.exp(f[:, None] * rest[of]), carried)
+    C[between] = (1.0 - g) * C_start[of] + g * C_end[of] + g * (1.0 - g) * bridge[of]
+    increments[between] = now
+    return poses, C, increments
 
 
 def invariant_covariance(V: StochasticMap) -> Array:
