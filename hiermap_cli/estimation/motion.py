@@ -57,15 +57,21 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
     x = (1.0 + a) * (cos_h * dx - sin_h * dy)
     y = (1.0 + a) * (sin_h * dx + cos_h * dy)
 
-    # d (x, y, turn) / d (a, b, c), then turned into the frame after the motion.
+    # d (x, y, turn) / d parameters, then turned into the frame after the motion.
     cos_t, sin_t = math.cos(turn), math.sin(turn)
-    J = np.zeros((3, PARAMETERS))
-    for k, d_x, d_y, d_turn in (
-        (SCALE, x / (1.0 + a), y / (1.0 + a), 0.0),
-        (ROTATION_SCALE, -0.5 * y * dtheta, 0.5 * x * dtheta, dtheta),
-        (CURVATURE, -0.5 * y * dx, 0.5 * x * dx, dx),
-    ):
-        J[:, k] = cos_t * d_x + sin_t * d_y, cos_t * d_y - sin_t * d_x, d_turn
+    columns = (
+        (x / (1.0 + a), y / (1.0 + a), 0.0),
+        (-0.5 * y * dtheta, 0.5 * x * dtheta, dtheta),
+        (-0.5 * y * dx, 0.5 * x * dx, dx),
+        (0.0, 0.0, 0.0),
+    )
+    J = np.array(
+        [
+            [cos_t * d_x + sin_t * d_y for d_x, d_y, _ in columns],
+            [cos_t * d_y - sin_t * d_x for d_x, d_y, _ in columns],
+            [d_turn for _, _, d_turn in columns],
+        ]
+    )
 
     distance, angle = math.hypot(dx, dy), abs(dtheta)
     var_x = config.sigma_xy_per_sqrt_m**2 * distance + config.sigma_xy_per_sqrt_rad**2 * angle
