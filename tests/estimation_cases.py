@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiermap_cli.estimation.constraint import Rows, jacobian
+from hiermap_cli.estimation.gaussian import Gain, gain
 from hiermap_cli.estimation.stochastic_map import StochasticMap, corrected
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import END, WALL, AreaMap, Features, seen_frames
+from hiermap_cli.mapping.area_map import END, WALL, AreaMap, Features
+from hiermap_cli.mapping.sighting import measuring_pose
 from hiermap_cli.perception.segments import END_OPEN, END_VERTEX
 from hiermap_cli.perception.views import SegmentView
 
@@ -50,6 +53,23 @@ def random_map(
 def moved(V: StochasticMap, e: Array) -> StochasticMap:
     """V with its means moved by the error `e` (N,), in its own coordinates."""
     return corrected(V, e, V.covariance)
+
+
+def gain_of(P: Array, columns: Array, H_c: Array, R: Array) -> Gain:
+    """The gain of rows that are H_c over some columns of P (named twice they add up)."""
+    H = np.zeros((len(H_c), len(P)))
+    np.add.at(H, (slice(None), columns), H_c)
+    return gain(H @ P, H @ P @ H.T + R)
+
+
+def whole_jacobian(V: StochasticMap, rows: Rows) -> Array:
+    """H (k, N) of rows."""
+    H = jacobian(V, rows)
+    whole = np.zeros((len(H.own), len(V.covariance)))
+    whole[:, : V.first_object] = H.common
+    for k, pose in enumerate(H.pose):
+        whole[k, V.columns(int(pose))] = H.own[k]
+    return whole
 
 
 def error_of(coordinates: str, pose: Array, estimate: Array) -> Array:
@@ -111,10 +131,10 @@ def view_from(
 
     parts: (wall's object index, from, to) along the wall, one for each segment.
     """
-    F = seen_frames(area.V)
+    frames = se2.between(measuring_pose(area.V), area.V.poses[1:])
     ends, theta = [], []
     for wall, lo, hi in parts:
-        x, y, turn = F.x[wall], F.y[wall], F.theta[wall]
+        x, y, turn = frames[wall]
         along = np.array([np.cos(turn), np.sin(turn)])
         ends.append([np.array([x, y]) + s * along for s in (lo, hi)])
         theta.append(turn)

@@ -14,26 +14,22 @@ from estimation_cases import (
     random_map,
     view_from,
     walls_area,
+    whole_jacobian,
 )
 
 from hiermap_cli.estimation.motion import LASER_X
-from hiermap_cli.estimation.stochastic_map import jacobian
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import (
-    END,
-    WALL,
+from hiermap_cli.mapping.area_map import END, WALL, add_ends, add_walls, area_from_here, forget
+from hiermap_cli.mapping.portals import add_anchor
+from hiermap_cli.mapping.sighting import (
+    Laser,
     Matches,
-    add_ends,
-    add_walls,
-    area_from_here,
-    forget,
-    innovations,
-    match_noise,
+    Seen,
+    Sighting,
     match_rows,
     measuring_pose,
-    seen_frames,
+    object_frames,
 )
-from hiermap_cli.mapping.portals import add_anchor
 from hiermap_cli.perception.segments import END_VERTEX
 
 VERTICES = (END_VERTEX, END_VERTEX)
@@ -70,8 +66,12 @@ def scene(rng, coordinates, parameters=4):
     return area, view, matches
 
 
-def frames_of(V, matches):
-    return seen_frames(V, np.concatenate((matches.wall, matches.end)))
+def innovations(V, view, matches):
+    return sighting(V, view, matches).innovations(Laser.of(V))
+
+
+def sighting(V, view, matches):
+    return Sighting.of(object_frames(V), Seen.of(view), matches)
 
 
 @pytest.mark.parametrize("parameters", [4, 0])
@@ -80,14 +80,12 @@ def test_rows_meet_central_differences(rng, coordinates, parameters):
     predicted falls where the estimate is moved towards what is measured."""
     area, view, matches = scene(rng, coordinates, parameters)
     V = area.V
-    rows = match_rows(V, frames_of(V, matches), view, matches)
+    rows, _ = match_rows(V, sighting(V, view, matches), view, matches)
     assert np.abs(rows.innovation).max() < 1e-12
-    columns, H_c = jacobian(V, rows)
-    H = np.zeros((len(H_c), len(V.covariance)))
-    np.add.at(H, (slice(None), columns), H_c)
+    H = whole_jacobian(V, rows)
 
     def told(e):
-        return innovations(frames_of(moved(V, e), matches), view, matches)
+        return innovations(moved(V, e), view, matches)
 
     assert np.allclose(-H, derivative(told, len(V.covariance)), rtol=1e-6, atol=1e-8)
 
@@ -96,13 +94,9 @@ def test_rows_of_a_scan_that_is_off(rng, coordinates):
     """Where the innovation is not zero the rows still are it to first order."""
     area, view, matches = scene(rng, coordinates)
     V = moved(area.V, 1e-4 * rng.normal(size=len(area.V.covariance)))
-    rows = match_rows(V, frames_of(V, matches), view, matches)
-    columns, H_c = jacobian(V, rows)
-    H = np.zeros((len(H_c), len(V.covariance)))
-    np.add.at(H, (slice(None), columns), H_c)
-    D = derivative(
-        lambda e: innovations(frames_of(moved(V, e), matches), view, matches), len(V.covariance)
-    )
+    rows, _ = match_rows(V, sighting(V, view, matches), view, matches)
+    H = whole_jacobian(V, rows)
+    D = derivative(lambda e: innovations(moved(V, e), view, matches), len(V.covariance))
     assert np.abs(D + H).max() < 2e-3 * np.abs(H).max()
 
 
@@ -113,7 +107,6 @@ def test_noise_is_that_of_the_segments_at_the_walls_origins(rng, coordinates):
         var_y=1e-4 * np.arange(1, 5), var_theta=1e-5 * np.arange(2, 6),
         end_sigma=1e-2 * np.arange(1.0, 9.0).reshape(4, 2),
     )  # fmt: skip
-    frames = frames_of(area.V, matches)
 
     def told(e):
         """e: y and theta of each segment about its centre, then x of each matched end."""
@@ -125,13 +118,13 @@ def test_noise_is_that_of_the_segments_at_the_walls_origins(rng, coordinates):
         ends = view.ends.copy()
         for k, (s, side) in enumerate(zip(matches.end_segment, matches.end_side, strict=True)):
             ends[s, side] += e[8 + k] * along[s]
-        return innovations(frames, off._replace(ends=ends), matches)
+        return innovations(area.V, off._replace(ends=ends), matches)
 
     J = derivative(told, 11)
     variances = np.zeros(11)
     variances[:8:2], variances[1:8:2] = view.var_y, view.var_theta
     variances[8:] = view.end_sigma[matches.end_segment, matches.end_side] ** 2
-    R = match_noise(frames, view, matches)
+    _, R = match_rows(area.V, sighting(area.V, view, matches), view, matches)
     assert np.allclose(R, J @ np.diag(variances) @ J.T, rtol=1e-6, atol=1e-12)
     assert np.array_equal(R, R.T)
 
@@ -140,12 +133,14 @@ def test_the_laser_is_where_its_parameter_says(rng):
     V = random_map(rng, 1)
     shift = np.array([V.parameters[LASER_X], 0.0, 0.0])
     assert measuring_pose(V) == pytest.approx(se2.compose(V.robot, shift))
-    F = seen_frames(V)
-    expected = se2.between(measuring_pose(V), V.poses[1:])
-    assert F.x == pytest.approx(expected[:, 0])
-    assert F.y == pytest.approx(expected[:, 1])
-    assert se2.wrap(F.theta - expected[:, 2]) == pytest.approx(np.zeros(1), abs=1e-12)
-    assert np.allclose(F.cos**2 + F.sin**2, 1.0)
+    laser = Laser.of(V)
+    from_object = object_frames(V).local(laser.place)
+    expected = se2.between(V.poses[1:], measuring_pose(V))
+    assert from_object.real == pytest.approx(expected[:, 0])
+    assert from_object.imag == pytest.approx(expected[:, 1])
+    turn = object_frames(V).unturn * laser.turn
+    assert np.angle(turn) == pytest.approx(expected[:, 2])
+    assert np.abs(turn) == pytest.approx(1.0)
     without = random_map(rng, 1, parameters=0)
     assert np.array_equal(measuring_pose(without), without.robot)
 

@@ -45,7 +45,7 @@ def test_a_gate_lets_its_share_of_true_pairs_through():
 def problem(rng, observations, most, rows, spoilt):
     """Candidates as a scan makes them: errors that all pairs share, noise of their own, and some
     pairs that are wrong by up to a few sigmas."""
-    observation, target, cost, A = [], [], [], []
+    observation, cost, A = [], [], []
     shared = rng.normal(size=(rows, 2))
     innovation = []
     e = rng.normal(size=2)
@@ -58,17 +58,14 @@ def problem(rng, observations, most, rows, spoilt):
             if rng.random() < spoilt:
                 y = y + 4.0 * rng.normal(size=rows)
             pairs.append((float(rng.random()), t, H, y, own))
-        for c, t, H, y, own in sorted(pairs, key=lambda pair: pair[0]):
+        for c, _, H, y, own in sorted(pairs, key=lambda pair: pair[0]):
             observation.append(o)
-            target.append(t)
             cost.append(c)
             innovation.append(y)
             A.append((H, own))
     H = np.concatenate([h for h, _ in A])
     S = H @ H.T + np.diag(np.repeat([own**2 for _, own in A], rows))
-    return Candidates(
-        np.array(observation), np.array(target), np.array(cost), np.array(innovation), S
-    )
+    return Candidates(np.array(observation), np.array(cost), np.array(innovation), S)
 
 
 class Exhaustive:
@@ -138,7 +135,7 @@ def test_pairs_that_pass_alone_but_contradict_each_other_do_not_pass_together():
     """Two innovations of 2 sigma in opposite directions, all of it an error that both share."""
     S = 1.0 * np.ones((2, 2)) + 0.01 * np.eye(2)
     y = np.array([[2.0], [-2.0]])
-    two = Candidates(np.array([0, 1]), np.array([0, 1]), np.array([0.1, 0.0]), y, S)
+    two = Candidates(np.array([0, 1]), np.array([0.1, 0.0]), y, S)
     assert all(y[i] ** 2 / S[i, i] < chi_square(0.99, 1) for i in range(2))
     chosen = joint_compatibility(two, 0.99)
     assert len(chosen) == 1
@@ -153,7 +150,7 @@ def test_the_second_best_is_taken_where_the_best_contradicts_the_others():
     y = np.array([[-1.0], [1.02], [0.98], [1.0], [1.01]])
     S = np.ones((n, n)) + 0.01 * np.eye(n)
     cost = np.array([0.0, 0.5, 0.1, 0.1, 0.1])
-    chosen = joint_compatibility(Candidates(observation, np.arange(n), cost, y, S), 0.99)
+    chosen = joint_compatibility(Candidates(observation, cost, y, S), 0.99)
     assert sorted(chosen) == [1, 2, 3, 4]
 
 
@@ -161,16 +158,16 @@ def test_an_observation_that_fits_nothing_is_left_out():
     n = 4
     y = np.array([[1.0], [1.02], [6.0], [0.98]])
     S = np.ones((n, n)) + 0.01 * np.eye(n)
-    four = Candidates(np.arange(n), np.arange(n), np.zeros(n), y, S)
+    four = Candidates(np.arange(n), np.zeros(n), y, S)
     assert sorted(joint_compatibility(four, 0.99)) == [0, 1, 3]
 
 
 def test_nothing_where_nothing_fits_and_where_there_is_nothing():
     none = np.zeros(0, dtype=np.int64)
-    empty = Candidates(none, none, np.zeros(0), np.zeros((0, 2)), np.zeros((0, 0)))
+    empty = Candidates(none, np.zeros(0), np.zeros((0, 2)), np.zeros((0, 0)))
     assert joint_compatibility(empty, 0.99) == []
     far = Candidates(
-        np.zeros(1, dtype=np.int64), np.zeros(1, dtype=np.int64), np.zeros(1),
+        np.zeros(1, dtype=np.int64), np.zeros(1),
         np.array([[9.0, 9.0]]), np.eye(2),
     )  # fmt: skip
     assert joint_compatibility(far, 0.99) == []
@@ -183,7 +180,7 @@ def test_the_search_ends_where_it_may_look_no_further():
     n = 90
     y = 3.0 * rng.normal(size=(n, 1))
     S = 9.0 * np.ones((n, n)) + 0.01 * np.eye(n)
-    many = Candidates(np.repeat(np.arange(30), 3), np.arange(n), rng.random(n), y, S)
+    many = Candidates(np.repeat(np.arange(30), 3), rng.random(n), y, S)
     sizes = []
     for nodes in (100, 400, 2000):
         chosen = joint_compatibility(many, 0.99, max_nodes=nodes)
@@ -197,7 +194,7 @@ def test_the_search_ends_where_it_may_look_no_further():
 
 def test_without_nodes_only_the_first_sight_is_left():
     y = np.array([[1.0], [1.0]])
-    fits = Candidates(np.arange(2), np.arange(2), np.zeros(2), y, np.ones((2, 2)) + np.eye(2))
+    fits = Candidates(np.arange(2), np.zeros(2), y, np.ones((2, 2)) + np.eye(2))
     assert joint_compatibility(fits, 0.99, max_nodes=0) == [0, 1]
     contradicts = fits._replace(innovation=np.array([[9.0], [-9.0]]))
     assert joint_compatibility(contradicts, 0.99, max_nodes=0) == []
@@ -211,7 +208,7 @@ def test_the_pairs_that_spoil_a_set_are_left_out_and_no_others(spoilt):
     y = 0.5 * np.linalg.cholesky(S) @ rng.normal(size=2 * n)
     for i in spoilt:
         y[2 * i : 2 * i + 2] += 12.0 * np.sqrt(np.diagonal(S)[2 * i : 2 * i + 2])
-    all_six = Candidates(np.arange(n), np.arange(n), np.zeros(n), y.reshape(n, 2), S)
+    all_six = Candidates(np.arange(n), np.zeros(n), y.reshape(n, 2), S)
     kept = without_the_worst(all_six, list(range(n)), 0.999, most=2)
     if not spoilt:
         # It is asked only of sets that do not hold: one pair always goes.
@@ -227,5 +224,5 @@ def test_where_too_many_spoil_it_the_search_is_left_to_others():
     n = 4
     y = np.array([[30.0], [-30.0], [50.0], [-50.0]])
     S = np.ones((n, n)) + 0.01 * np.eye(n)
-    torn = Candidates(np.arange(n), np.arange(n), np.zeros(n), y, S)
+    torn = Candidates(np.arange(n), np.zeros(n), y, S)
     assert without_the_worst(torn, list(range(n)), 0.99, most=2) is None

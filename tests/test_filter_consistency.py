@@ -14,15 +14,8 @@ import numpy as np
 import pytest
 from estimation_cases import error_of
 
-from hiermap_cli.estimation.stochastic_map import (
-    Motion,
-    Rows,
-    add_objects,
-    constrain,
-    initial_map,
-    predict,
-    prepare,
-)
+from hiermap_cli.estimation.constraint import Rows, constrain, prepare
+from hiermap_cli.estimation.stochastic_map import Motion, add_objects, initial_map, predict
 from hiermap_cli.geometry import se2
 
 LANDMARKS, REACH = 20, 6.0

@@ -14,12 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from estimation_cases import error_of
+from estimation_cases import error_of, gain_of
 from world_cases import DATASETS
 
 from hiermap_cli.config import Config
-from hiermap_cli.estimation.gaussian import gain
-from hiermap_cli.estimation.stochastic_map import Constraint, constrain
+from hiermap_cli.estimation.constraint import Constraint, constrain
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR, END, WALL
 from hiermap_cli.mapping.assembly import assemble
@@ -70,7 +69,7 @@ def moved():
     shift = SIGMAS * float(spread[k])
     columns = np.concatenate((np.arange(3), np.arange(len(P))[V.columns(1 + int(walls[k]))]))
     H = rows[k][None, columns]
-    told = Constraint(np.array([shift]), columns, H, gain(P, columns, H, np.array([[1e-8]])))
+    told = Constraint(np.array([shift]), H[:, :3], gain_of(P, columns, H, np.array([[1e-8]])))
     pushed, _ = constrain(V, told, lambda _: np.array([shift]))
     after = copy.deepcopy(before)
     after.areas[after.current] = replace(before.area, V=pushed)

@@ -14,16 +14,14 @@ import pytest
 from estimation_cases import COORDINATES, UPDATES, walls_area
 
 from hiermap_cli.config import Config, OdometryConfig
+from hiermap_cli.estimation.constraint import Rows, constrain, prepare
 from hiermap_cli.estimation.motion import LASER_X, SCALE, motion
 from hiermap_cli.estimation.stochastic_map import (
-    Rows,
     StochasticMap,
     add_objects,
     clone_robot,
-    constrain,
     initial_map,
     predict,
-    prepare,
     remove_objects,
 )
 from hiermap_cli.geometry import se2

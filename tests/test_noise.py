@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.stats
-from estimation_cases import random_covariance
+from estimation_cases import gain_of, random_covariance
 
 from hiermap_cli.config import NoiseConfig
-from hiermap_cli.estimation.gaussian import condition, gain
+from hiermap_cli.estimation.gaussian import condition
 from hiermap_cli.estimation.noise import (
     WORST,
     NoiseScale,
@@ -26,7 +26,7 @@ def updates(seed, draws, k=14, n=9):
     rng = np.random.default_rng(seed)
     P, R = random_covariance(rng, n, 0.1), random_covariance(rng, k, 0.05)
     H = rng.normal(size=(k, n))
-    told = gain(P, np.arange(n), H, R)
+    told = gain_of(P, np.arange(n), H, R)
     for y in rng.multivariate_normal(np.zeros(k), told.S, size=draws):
         delta, after, nis = condition(P, told, y)
         yield surprise(nis, k, delta[:3], (P - after)[:3, :3]), nis
@@ -72,7 +72,7 @@ def closed_loop(truth, seed, steps=1500, rate=0.02, k=10, outliers=0.0, config=C
         y = H @ error + np.sqrt(truth.walls) * 0.01 * rng.normal(size=k)
         if rng.random() < outliers:
             y = y + 10.0 * 0.01 * rng.normal(size=k)
-        told = gain(P, np.arange(3), H, scale.walls * R)
+        told = gain_of(P, np.arange(3), H, scale.walls * R)
         delta, after, nis = condition(P, told, y)
         scale = adapted(scale, surprise(nis, k, delta, P - after), rate, config)
         error, P = error - delta, after

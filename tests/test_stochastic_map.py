@@ -9,27 +9,25 @@ from estimation_cases import (
     UPDATES,
     derivative,
     error_of,
+    gain_of,
     moved,
     random_covariance,
     random_map,
     random_pose,
+    whole_jacobian,
 )
 
 from hiermap_cli.config import OdometryConfig
-from hiermap_cli.estimation.gaussian import gain
+from hiermap_cli.estimation.constraint import Constraint, Rows, constrain, jacobian, prepare
 from hiermap_cli.estimation.motion import motion
 from hiermap_cli.estimation.stochastic_map import (
-    Constraint,
-    Rows,
     StochasticMap,
     add_objects,
     clone_robot,
-    constrain,
     corrected,
     initial_map,
     place_robot,
     predict,
-    prepare,
     relative_covariance,
     remove_objects,
     seen_from_robot,
@@ -127,10 +125,10 @@ def test_clone_robot(coordinates, rng):
     # What moves the one moves the other, whatever is learnt of it.
     row = np.zeros((1, 3))
     row[0] = 0.3, -1.0, 0.5
-    told = gain(after.covariance, np.arange(3), row, np.array([[1e-3]]))
+    told = gain_of(after.covariance, np.arange(3), row, np.array([[1e-3]]))
     learnt, _ = constrain(
         after,
-        Constraint(np.array([0.2]), np.arange(3), row, told),
+        Constraint(np.array([0.2]), row, told),
         lambda _: np.array([0.2]),
         "ekf",
     )
@@ -273,13 +271,15 @@ def seen(V, i, z, update, R=None):
 
 
 def test_rows_are_the_innovations_derivative(coordinates, rng):
-    """H of `prepare`: innovation and H of an object seen where it is predicted."""
+    """H and its products: innovation and H of an object seen where it is predicted."""
     V = random_map(rng, 3, coordinates)
     z = se2.between(V.robot, V.poses[2])
     H = se2.adjoint(se2.invert(V.poses[2]))
-    told = prepare(V, Rows(np.zeros(3), np.full(3, 2), H, np.zeros((3, 4))), np.eye(3))
-    whole = np.zeros((3, len(V.covariance)))
-    np.add.at(whole, (slice(None), told.columns), told.H)
+    rows = Rows(np.zeros(3), np.full(3, 2), H, np.zeros((3, 4)))
+    whole = whole_jacobian(V, rows)
+    HP, HPH = jacobian(V, rows).times(V)
+    assert close(HP, whole @ V.covariance)
+    assert close(HPH, whole @ V.covariance @ whole.T)
 
     def innovation(e):
         true = moved(V, e)

@@ -59,12 +59,11 @@ def chi_square_tail(x: float, degrees: int) -> float:
 class Candidates(NamedTuple):
     """Pairs that passed their own gates, sorted by observation, best first.
 
-    observation, target: (c,). cost: (c,) what ranks them, lower is better.
+    observation: (c,). cost: (c,) what ranks them, lower is better.
     innovation: (c, r) rows of each pair; covariance of all pairs' rows: (c r, c r).
     """
 
     observation: Index
-    target: Index
     cost: Array
     innovation: Array
     covariance: Array

@@ -1,7 +1,7 @@
 """Conditioning a Gaussian on linear measurements: the algebra that every level shares.
 
 The state's error e ~ N(0, P) of dimension N; a measurement of k rows has the innovation
-`y = H e + v` with v ~ N(0, R). H is given by its non-zero columns: `H[:, columns] = H_c`.
+`y = H e + v` with v ~ N(0, R). What it needs of H are the products `H P` and `S = H P H^T + R`.
 Only the innovation covariance S is ever factored, so that components known exactly (zero rows
 of P) do no harm.
 """
@@ -44,10 +44,6 @@ class Gain(NamedTuple):
     L_inverse: Array
     W: Array
 
-    def select(self, rows: Index) -> Gain:
-        """The same for some of the rows."""
-        return whitened(self.HP[rows], self.S[rows[:, None], rows])
-
     def whiten(self, y: Array) -> Array:
         """`L^-1 y` (k,): independent and of unit variance where the filter is consistent."""
         return np.asarray(self.L_inverse @ y)
@@ -58,17 +54,8 @@ def symmetrise(P: Array) -> Array:
     return np.asarray(0.5 * (P + P.T))
 
 
-def gain(P: Array, columns: Index, H_c: Array, R: Array) -> Gain:
-    """The gain of a measurement with noise independent of the state.
-
-    `columns` may name a component twice: H's columns for it then add up.
-    """
-    HP = H_c @ P[columns]
-    return whitened(HP, HP[:, columns] @ H_c.T + R)
-
-
-def whitened(HP: Array, S: Array) -> Gain:
-    """A gain from `H P` and S."""
+def gain(HP: Array, S: Array) -> Gain:
+    """The gain of a measurement with noise independent of the state, from `H P` and S."""
     L_inverse = np.linalg.inv(np.linalg.cholesky(S))
     return Gain(HP, S, L_inverse, L_inverse @ HP)
 
@@ -84,4 +71,5 @@ def condition(P: Array, gain: Gain, y: Array) -> Correction:
     `W^T W` is symmetric to the last bit, so that P stays so.
     """
     z = gain.whiten(y)
-    return Correction(z @ gain.W, P - gain.W.T @ gain.W, float(z @ z))
+    KSK = gain.W.T @ gain.W
+    return Correction(z @ gain.W, np.subtract(P, KSK, out=KSK), float(z @ z))

@@ -15,19 +15,16 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.gaussian import Gain, condition, gain, robot_correction, symmetrise
+from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]
 
 Coordinates = Literal["invariant", "additive"]
-Update = Literal["relocation_fusion", "ekf"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +55,12 @@ class StochasticMap:
         """The components of V that belong to pose i: 0 is the robot, 1 the first object."""
         start = 0 if i == 0 else self.first_object + 3 * (i - 1)
         return slice(start, start + 3)
+
+    def error_columns(self, objects: Index) -> Index:
+        """The components of V of robot, parameters, and objects (k,) from 0: (3 + m + 3 k,)."""
+        start = self.first_object
+        own = start + (3 * np.asarray(objects)[:, None] + np.arange(3)).ravel()
+        return np.concatenate((np.arange(start), own))
 
     def pose_covariance(self, i: int) -> Array:
         """Additive covariance (3, 3) of pose i."""
@@ -121,20 +124,6 @@ class Motion(NamedTuple):
     by_parameters: Array
 
 
-class Rows(NamedTuple):
-    """A measurement linearised in the invariant error: k rows over some poses of the map.
-
-    innovation: (k,). pose: (k,) the object measured by each row (index into `poses`).
-    H_object: (k, 3) d row / d delta of that object; the robot's is minus that, since only
-    relative poses are measured. H_parameters: (k, m).
-    """
-
-    innovation: Array
-    pose: Index
-    H_object: Array
-    H_parameters: Array
-
-
 def initial_map(
     robot: Array,
     C_robot: Array,
@@ -162,20 +151,19 @@ def predict(V: StochasticMap, motion: Motion) -> StochasticMap:
     poses[0] = X
     P = V.covariance.copy()
     Ad = se2.adjoint(X)
+    rows, J1 = P[:3], None
     if V.coordinates == "additive":
         Ad = se2.additive_D_invariant(X) @ Ad
         J1 = se2.compose_D_first(V.robot, motion.pose)
-        P[:3] = J1 @ P[:3]
-        P[:3, :3] = P[:3, :3] @ J1.T
-    m = len(V.parameters)
-    if m:
-        G = Ad @ motion.by_parameters
-        P_rc_G = P[:3, 3 : 3 + m] @ G.T
-        P_rr = P[:3, :3] + P_rc_G + P_rc_G.T + G @ P[3 : 3 + m, 3 : 3 + m] @ G.T
-        P[:3] += G @ P[3 : 3 + m]
-        P[:3, :3] = P_rr
-    P[:3, :3] = symmetrise(P[:3, :3] + Ad @ motion.covariance @ Ad.T)
-    P[3:, :3] = P[:3, 3:].T
+        rows = J1 @ rows
+    # F P F^T with F = [J1 G] over robot and parameters: its rows, then the robot's corner.
+    start = V.first_object
+    G = Ad @ motion.by_parameters
+    rows = rows + G @ P[3:start]
+    corner = rows[:, :3] if J1 is None else rows[:, :3] @ J1.T
+    corner = corner + rows[:, 3:start] @ G.T + Ad @ motion.covariance @ Ad.T
+    P[:3], P[:, :3] = rows, rows.T
+    P[:3, :3] = symmetrise(corner)
     return StochasticMap(poses, V.parameters, P, V.coordinates)
 
 
@@ -188,30 +176,33 @@ def add_objects(
     by_parameters: (k, 3, m) d (error in the object's frame) / d parameters.
     """
     X = se2.compose(V.robot, R_r_l)
-    k, m = len(X), len(V.parameters)
+    k, start = len(X), V.first_object
     Ad = se2.adjoint(X)
-    N = len(V.covariance)
-    A = np.zeros((3 * k, N))
-    A[:, :3] = np.tile(V.invariant_D_error(V.robot), (k, 1))
+    A = np.zeros((k, 3, start))
+    A[:, :, :3] = V.invariant_D_error(V.robot)
     if by_parameters is not None:
-        A[:, 3 : 3 + m] = (Ad @ by_parameters).reshape(3 * k, m)
+        A[:, :, 3:] = Ad @ by_parameters
     noise = Ad @ C_tangent @ Ad.transpose(0, 2, 1)
-    return augment(V, X, A, noise)
+    return augment(V, X, np.arange(start), A, noise)
 
 
-def augment(V: StochasticMap, X: Array, A: Array, noise: Array) -> StochasticMap:
-    """Objects X (k, 3) with invariant errors `A e + w`: A (3 k, N), w of blocks (k, 3, 3)."""
+def augment(V: StochasticMap, X: Array, columns: Index, A: Array, noise: Array) -> StochasticMap:
+    """Objects X (k, 3) with invariant errors `A e + w`.
+
+    A: (k, 3, c) over `columns` (c,) of V; w: independent, of blocks (k, 3, 3).
+    """
     k, N = len(X), len(V.covariance)
     if V.coordinates == "additive":
         T = se2.additive_D_invariant(X)
-        A = (T @ A.reshape(k, 3, N)).reshape(3 * k, N)
+        A = T @ A
         noise = T @ noise @ T.transpose(0, 2, 1)
+    A = A.reshape(3 * k, len(columns))
     P = np.empty((N + 3 * k, N + 3 * k))
     P[:N, :N] = V.covariance
-    AP = A @ V.covariance
+    AP = A @ V.covariance.take(columns, axis=0)
     P[N:, :N] = AP
     P[:N, N:] = AP.T
-    corner = AP @ A.T
+    corner = AP.take(columns, axis=1) @ A.T
     for i in range(k):
         corner[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += noise[i]
     P[N:, N:] = symmetrise(corner)
@@ -220,10 +211,7 @@ def augment(V: StochasticMap, X: Array, A: Array, noise: Array) -> StochasticMap
 
 def remove_objects(V: StochasticMap, keep: Index) -> StochasticMap:
     """V with only the objects of the given pose indices (1 .. n), in that order."""
-    start = V.first_object
-    columns = np.concatenate(
-        (np.arange(start), (start + 3 * (np.asarray(keep)[:, None] - 1) + np.arange(3)).ravel())
-    ).astype(np.int64)
+    columns = V.error_columns(np.asarray(keep) - 1)
     return replace(
         V,
         poses=V.poses[np.concatenate(([0], keep)).astype(np.int64)],
@@ -231,95 +219,16 @@ def remove_objects(V: StochasticMap, keep: Index) -> StochasticMap:
     )
 
 
-def jacobian(V: StochasticMap, rows: Rows) -> tuple[Index, Array]:
-    """The columns of V that `rows` touch, and H over them: (c,), (k, c).
-
-    An object that several rows measure stands there once for each of them.
-    """
-    k, m, start = len(rows.innovation), len(V.parameters), V.first_object
-    at = start + 3 * k
-    columns = np.empty(at, dtype=np.int64)
-    columns[:start] = np.arange(start)
-    columns[start:] = (start - 3 + 3 * rows.pose[:, None] + np.arange(3)).ravel()
-    H_o, H_r = rows.H_object, -rows.H_object
-    if V.coordinates == "additive":
-        H_o = np.einsum("ki,kij->kj", H_o, se2.invariant_D_additive(V.poses[rows.pose]))
-        H_r = H_r @ se2.invariant_D_additive(V.robot)
-    H = np.zeros((k, at))
-    H[:, :3] = H_r
-    H[:, 3 : 3 + m] = rows.H_parameters
-    row = np.arange(k)
-    H[row[:, None], start + 3 * row[:, None] + np.arange(3)] = H_o
-    return columns, H
-
-
 def corrected(V: StochasticMap, delta: Array, P: Array) -> StochasticMap:
     """V with its means moved by `delta` (N,) and the covariance P."""
     m = len(V.parameters)
     steps = np.concatenate((delta[:3], delta[3 + m :])).reshape(-1, 3)
     if V.coordinates == "invariant":
-        poses = se2.compose(se2.exp(steps), V.poses)
+        poses = se2.moved(V.poses, steps)
     else:
         poses = V.poses + steps
         poses[:, 2] = se2.wrap(poses[:, 2])
     return StochasticMap(poses, V.parameters + delta[3 : 3 + m], P, V.coordinates)
-
-
-class Constraint(NamedTuple):
-    """Rows ready to be added to V: innovation (k,), H over `columns`, and what they would do."""
-
-    innovation: Array
-    columns: Index
-    H: Array
-    gain: Gain
-
-    def select(self, rows: Index) -> Constraint:
-        """The constraint of some of the rows."""
-        return Constraint(self.innovation[rows], self.columns, self.H[rows], self.gain.select(rows))
-
-
-def prepare(V: StochasticMap, rows: Rows, R: Array) -> Constraint:
-    """The rows linearised at V with their noise R (k, k)."""
-    columns, H = jacobian(V, rows)
-    return Constraint(rows.innovation, columns, H, gain(V.covariance, columns, H, R))
-
-
-def constrain(
-    V: StochasticMap,
-    constraint: Constraint,
-    measure: Callable[[StochasticMap], Array],
-    update: Update = "relocation_fusion",
-) -> tuple[StochasticMap, float]:
-    """Equation 3: objects seen again. Returns V after it and the NIS.
-
-    `measure` gives the innovations (k,) of the same rows predicted from another V. With
-    `relocation_fusion` (Moutarlier and Chatila) the robot is first corrected alone, from all
-    rows; then everything is corrected, with the rows predicted at the relocated robot. The
-    second step starts from the state **before** the first, with the innovation
-    `y(V') + H (V' - V)`: the rows enter once, and on a linear model the result is the Kalman
-    filter's to the digit. (Carrying the relocated state and its correlation with the noise into
-    the second step is the same on paper, but its innovation covariance is nearly singular: see
-    docs/design.md.) H is kept: in invariant coordinates it does not depend on the robot, and
-    where it does a Jacobian that changes between two steps counts as information.
-    """
-    innovation = constraint.innovation
-    if update == "relocation_fusion":
-        relocation = robot_correction(constraint.gain, innovation)
-        relocated = _relocated(V, relocation)
-        innovation = measure(relocated) + constraint.H[:, :3] @ relocation
-    delta, P, nis = condition(V.covariance, constraint.gain, innovation)
-    return corrected(V, delta, P), nis
-
-
-def _relocated(V: StochasticMap, delta_r: Array) -> StochasticMap:
-    """V with the robot's mean alone moved."""
-    poses = V.poses.copy()
-    if V.coordinates == "invariant":
-        poses[0] = se2.compose(se2.exp(delta_r), V.robot)
-    else:
-        poses[0] = V.robot + delta_r
-        poses[0, 2] = se2.wrap_one(float(poses[0, 2]))
-    return StochasticMap(poses, V.parameters, V.covariance, V.coordinates)
 
 
 def relative_covariance(V: StochasticMap, i: int, j: int) -> Array:
@@ -364,9 +273,8 @@ def _identity(_pose: Array) -> Array:
 
 def clone_robot(V: StochasticMap) -> StochasticMap:
     """V with a copy of the robot's present pose as a new object, fully correlated with it."""
-    A = np.zeros((3, len(V.covariance)))
-    A[:, :3] = V.invariant_D_error(V.robot)
-    return augment(V, V.robot[None], A, np.zeros((1, 3, 3)))
+    A = V.invariant_D_error(V.robot)[None]
+    return augment(V, V.robot[None], np.arange(3), A, np.zeros((1, 3, 3)))
 
 
 def seen_from_robot(V: StochasticMap, keep: Index) -> StochasticMap:

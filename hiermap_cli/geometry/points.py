@@ -18,6 +18,19 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
+def planar(points: Array) -> NDArray[np.complex128]:
+    """The first two of the last axis as complex numbers `x + i y`, (...,): a view, not a copy."""
+    return np.asarray(points[..., :2].view(np.complex128)[..., 0])
+
+
+def turning(theta: Array) -> NDArray[np.complex128]:
+    """`exp(i theta)` as complex numbers, (n,): multiplied with a point they turn it."""
+    out = np.empty(len(theta), dtype=np.complex128)
+    np.cos(theta, out=out.real)
+    np.sin(theta, out=out.imag)
+    return out
+
+
 def h(R_a_b: Array, P_b: Array) -> Array:
     """The point seen from a, shape (..., 2), of its position in b and of b seen from a."""
     R_a_b, P_b = np.asarray(R_a_b, dtype=float), np.asarray(P_b, dtype=float)

@@ -37,12 +37,15 @@ def compose(R_a_b: Array, R_b_c: Array) -> Array:
     R_a_b, R_b_c = np.asarray(R_a_b, dtype=float), np.asarray(R_b_c, dtype=float)
     if R_a_b.ndim == R_b_c.ndim == 1:
         return _compose_one(R_a_b, R_b_c)
-    c, s = np.cos(R_a_b[..., 2]), np.sin(R_a_b[..., 2])
+    x_a, y_a, theta_a = R_a_b[..., 0], R_a_b[..., 1], R_a_b[..., 2]
+    c, s = np.cos(theta_a), np.sin(theta_a)
     x, y = R_b_c[..., 0], R_b_c[..., 1]
-    out = np.empty(np.broadcast_shapes(R_a_b.shape, R_b_c.shape))
-    out[..., 0] = R_a_b[..., 0] + c * x - s * y
-    out[..., 1] = R_a_b[..., 1] + s * x + c * y
-    out[..., 2] = wrap(R_a_b[..., 2] + R_b_c[..., 2])
+    # A single pose before many needs no broadcasting worked out, which costs as much as the rest.
+    single = R_a_b.ndim == 1
+    out = np.empty(R_b_c.shape if single else np.broadcast_shapes(R_a_b.shape, R_b_c.shape))
+    out[..., 0] = x_a + c * x - s * y
+    out[..., 1] = y_a + s * x + c * y
+    out[..., 2] = wrap(theta_a + R_b_c[..., 2])
     return out
 
 
@@ -159,6 +162,24 @@ def exp(tangent: Array) -> Array:
     return out
 
 
+def moved(R_a_b: Array, tangent: Array) -> Array:
+    """`compose(exp(tangent), R_a_b)` of many poses, (n, 3) both: a step of their global errors.
+
+    In complex numbers, where a rotation is a product: with `h = exp(i phi / 2)` the point z goes
+    to `h^2 z + h sinc(phi / 2) rho`. It takes a fifth of the array operations.
+    """
+    # The smallest of numbers, lost in any angle but zero, makes sin(0) / 0 one.
+    half = 0.5 * tangent[:, 2] + 1e-300
+    h = np.empty(len(half), dtype=np.complex128)
+    np.cos(half, out=h.real)
+    np.sin(half, out=h.imag)
+    out = np.empty(R_a_b.shape)
+    z, rho, moved = (pose[:, :2].view(np.complex128)[:, 0] for pose in (R_a_b, tangent, out))
+    np.multiply(h, h * z + (h.imag / half) * rho, out=moved)
+    out[:, 2] = wrap(R_a_b[:, 2] + tangent[:, 2])
+    return out
+
+
 def log(R_a_b: Array) -> Array:
     """The logarithm: pose (..., 3) to tangent (..., 3), its angle in (-pi, pi]."""
     R_a_b = np.asarray(R_a_b, dtype=float)
@@ -188,9 +209,12 @@ def adjoint(R_a_b: Array) -> Array:
         c, s = math.cos(theta), math.sin(theta)
         return np.array(((c, -s, y), (s, c, -x), (0.0, 0.0, 1.0)))
     Ad = np.zeros((*R_a_b.shape, 3))
-    Ad[..., :2, :2] = rotation(R_a_b[..., 2])
+    theta = R_a_b[..., 2]
+    Ad[..., 0, 0] = Ad[..., 1, 1] = np.cos(theta)
+    Ad[..., 1, 0] = sin = np.sin(theta)
+    np.negative(sin, out=Ad[..., 0, 1])
     Ad[..., 0, 2] = R_a_b[..., 1]
-    Ad[..., 1, 2] = -R_a_b[..., 0]
+    np.negative(R_a_b[..., 0], out=Ad[..., 1, 2])
     Ad[..., 2, 2] = 1.0
     return Ad
 

@@ -2,34 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiermap_cli.estimation.constraint import constrain
 from hiermap_cli.estimation.noise import LEAST_ROWS, Surprise, surprise
-from hiermap_cli.estimation.stochastic_map import StochasticMap, constrain
 from hiermap_cli.geometry import se2
+from hiermap_cli.geometry.points import planar
 from hiermap_cli.mapping.area_map import (
     ANCHOR,
     END,
     WALL,
     AreaMap,
+    Glimpse,
     add_ends,
     add_walls,
     forget,
-    innovations,
-    seen_frames,
 )
 from hiermap_cli.mapping.innovations import Innovation
 from hiermap_cli.mapping.matching import associate
+from hiermap_cli.mapping.sighting import Laser, object_frames
 from hiermap_cli.perception.segments import END_OPEN
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import Config, FilterConfig, ForgetConfig
-    from hiermap_cli.mapping.area_map import Matches
+    from hiermap_cli.estimation.stochastic_map import StochasticMap
+    from hiermap_cli.mapping.area_map import Features
+    from hiermap_cli.mapping.matching import Association
+    from hiermap_cli.mapping.sighting import Matches
     from hiermap_cli.perception.views import SegmentView
 
     Array = NDArray[np.float64]
@@ -55,16 +59,12 @@ class Step(NamedTuple):
 def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     """Correct the area with one scan, then let new walls and ends in."""
     found = associate(area, view, config.association, config.filter)
-    matches, constraint = found.matches, found.constraint
+    matches, sighting, constraint = found.matches, found.sighting, found.constraint
     nis, degrees, told, innovation = 0.0, 0, None, None
     along = np.zeros((0, 2))
-    if constraint is not None and not matches.empty():
-        objects = np.concatenate((matches.wall, matches.end))
+    if constraint is not None and sighting is not None:
         V, nis = constrain(
-            area.V,
-            constraint,
-            lambda V: innovations(seen_frames(V, objects), view, matches),
-            config.update,
+            area.V, constraint, lambda V: sighting.innovations(Laser.of(V)), config.update
         )
         degrees = len(constraint.innovation)
         S = constraint.gain.S
@@ -72,13 +72,16 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
         if degrees >= LEAST_ROWS:
             told = _surprise(area.V, V, nis, degrees)
         area = AreaMap(V, area.features, area.next_uid, area.glimpsed)
-        along = _along(area, view, matches.segment, matches.wall)
+        along = _along(V, view, matches)
         area = _seen(area, matches, along, key)
-    known = len(area.features.uid)
-    new = ~found.near & (view.length >= config.filter.min_new_length)
-    founded = new.nonzero()[0]
-    area = add_walls(area, view, founded, key)
-    area = _new_ends(area, view, matches, founded, known, key, config, along)
+    fresh = _fresh_ends(area.V, view, found, along.tolist())
+    new = (~found.near & (view.length >= config.filter.min_new_length)).nonzero()[0]
+    if len(new):
+        first = len(area.features.uid)
+        area = add_walls(area, view, new, key)
+        fresh += _ends_of_new(area.features, view, new, first)
+    if fresh:
+        area = _new_ends(area, fresh, key, config.filter)
     return Step(area, matches, found.offered, nis, degrees, told, innovation)
 
 
@@ -103,70 +106,100 @@ def _seen(area: AreaMap, matches: Matches, x: Array, key: int) -> AreaMap:
     return AreaMap(area.V, features, area.next_uid, area.glimpsed)
 
 
-def _along(area: AreaMap, view: SegmentView, segments: Index, walls: Index) -> Array:
-    """Both ends of segments along the X axis of walls, (k, 2)."""
-    F = seen_frames(area.V, walls)
-    dx, dy = view.ends[segments, :, 0] - F.x[:, None], view.ends[segments, :, 1] - F.y[:, None]
-    return np.asarray(F.cos[:, None] * dx + F.sin[:, None] * dy)
+def _along(V: StochasticMap, view: SegmentView, matches: Matches) -> Array:
+    """Both ends of matched segments along the X axis of their walls, (a, 2)."""
+    F, laser = object_frames(V, matches.wall), Laser.of(V)
+    ends = laser.place + laser.turn * planar(view.ends).take(matches.segment, axis=0)
+    return np.asarray(((ends - F.origin[:, None]) * F.unturn[:, None]).real)
 
 
-def _new_ends(
-    area: AreaMap,
-    view: SegmentView,
-    matches: Matches,
-    founded: Index,
-    known: int,
-    key: int,
-    config: Config,
-    along: Array,
-) -> AreaMap:
-    """Ends that no known end explains: of matched segments, and of those that found a wall."""
-    fresh = view.end_kind != END_OPEN
-    fresh[matches.end_segment, matches.end_side] = False
-    segments = np.concatenate((matches.segment, founded))
-    i, side = np.nonzero(fresh[segments])
-    if not len(i):
+class FreshEnd(NamedTuple):
+    """An end of a segment that is no known end.
+
+    wall: object index. x: along the wall. known: x of the wall's known ends of that side.
+    """
+
+    wall: int
+    side: int
+    x: float
+    sigma: float
+    known: tuple[float, ...] = ()
+
+
+def _fresh_ends(
+    V: StochasticMap, view: SegmentView, found: Association, along: list[list[float]]
+) -> list[FreshEnd]:
+    """The ends of matched segments that were not matched with a known end.
+
+    Like all that concerns single ends this is written out: a scan has only a few of them.
+    """
+    m = found.matches
+    matched = set(zip(m.end_segment.tolist(), m.end_side.tolist(), strict=True))
+    kind = view.end_kind.tolist()
+    fresh = []
+    for segment, wall, x in zip(m.segment.tolist(), m.wall.tolist(), along, strict=True):
+        for side in (0, 1):
+            if kind[segment][side] != END_OPEN and (segment, side) not in matched:
+                sigma = float(view.end_sigma[segment, side])
+                ends = found.known.get((segment, side), ())
+                known = tuple(_place_on_wall(V, wall, end) for end in ends)
+                fresh.append(FreshEnd(wall, side, x[side], sigma, known))
+    return fresh
+
+
+def _place_on_wall(V: StochasticMap, wall: int, end: int) -> float:
+    """X of an end along its wall."""
+    x_w, y_w, theta = map(float, V.poses[1 + wall])
+    x, y, _ = map(float, V.poses[1 + end])
+    return math.cos(theta) * (x - x_w) + math.sin(theta) * (y - y_w)
+
+
+def _ends_of_new(f: Features, view: SegmentView, segments: Index, first: int) -> list[FreshEnd]:
+    """The ends of segments that founded walls, of which `first` is the first one's object."""
+    kind, sigma = view.end_kind.tolist(), view.end_sigma.tolist()
+    return [
+        FreshEnd(wall, side, float(extent[wall]), sigma[segment][side])
+        for wall, segment in enumerate(segments.tolist(), first)
+        for side, extent in ((0, f.lo), (1, f.hi))
+        if kind[segment][side] != END_OPEN
+    ]
+
+
+def _new_ends(area: AreaMap, fresh: list[FreshEnd], key: int, config: FilterConfig) -> AreaMap:
+    """Ends that were glimpsed shortly before enter V; the others are remembered as glimpses.
+
+    A known end of the same wall and side that is near, but did not pass its gate, forbids a
+    second one beside it.
+    """
+    uid = area.features.uid
+    glimpsed = [g for g in area.glimpsed if g.key >= key - config.end_patience]
+    first, again, explained = [], [], set()
+    for end in fresh:
+        if any(abs(x - end.x) < config.end_spacing for x in end.known):
+            continue
+        wall = int(uid[end.wall])
+        same = [
+            i
+            for i, g in enumerate(glimpsed)
+            if g.wall == wall and g.side == end.side and abs(g.x - end.x) < 4.0 * end.sigma
+        ]
+        explained.update(same)
+        if same:
+            again.append(end)
+        else:
+            first.append(Glimpse(wall, end.side, end.x, key))
+    left = [g for i, g in enumerate(glimpsed) if i not in explained]
+    area = AreaMap(area.V, area.features, area.next_uid, (*left, *first))
+    if not again:
         return area
-    new_walls = known + np.arange(len(founded))
-    walls = np.concatenate((matches.wall, new_walls))
-    if len(founded):
-        along = np.concatenate((along, _along(area, view, founded, new_walls)))
-    x = along[i, side]
-    # A known end of the same wall and side that is near, but did not pass its gate, forbids a
-    # second one beside it.
-    f = area.features
-    a, b = np.nonzero(
-        np.where(f.kind == END, 2 * f.wall + f.side, -1) == (2 * f.uid[walls[i]] + side)[:, None]
+    return add_ends(
+        area,
+        np.array([end.wall for end in again]),
+        np.array([end.x for end in again]),
+        np.array([end.sigma for end in again]),
+        np.array([end.side for end in again]),
+        key,
     )
-    if len(a):
-        R_w_e = se2.between(area.V.poses[1 + walls[i[a]]], area.V.poses[1 + b])
-        beside = np.zeros(len(i), dtype=bool)
-        beside[a[np.abs(R_w_e[:, 0] - x[a]) < config.filter.end_spacing]] = True
-        i, side, x = i[~beside], side[~beside], x[~beside]
-    sigma = view.end_sigma[segments[i], side]
-    seen_twice, glimpsed = _glimpsed_before(area, walls[i], side, x, sigma, key, config.filter)
-    area = replace(area, glimpsed=glimpsed)
-    at = seen_twice.nonzero()[0]
-    return add_ends(area, walls[i[at]], x[at], sigma[at], side[at], key)
-
-
-def _glimpsed_before(
-    area: AreaMap,
-    walls: Index,
-    sides: Index,
-    x: Array,
-    sigma: Array,
-    key: int,
-    config: FilterConfig,
-) -> tuple[NDArray[np.bool_], Array]:
-    """Which of the new ends were glimpsed shortly before, and the glimpses to remember now."""
-    old = area.glimpsed[area.glimpsed[:, 3] >= key - config.end_patience]
-    uid = area.features.uid[walls]
-    same = (old[:, 0] == uid[:, None]) & (old[:, 1] == sides[:, None])
-    same &= np.abs(old[:, 2] - x[:, None]) < 4.0 * sigma[:, None]
-    again = same.any(axis=1)
-    first = np.column_stack((uid, sides, x, np.full(len(x), float(key))))[~again]
-    return again, np.concatenate((old[~same.any(axis=0)], first))
 
 
 def forget_unseen(area: AreaMap, key: int, config: ForgetConfig) -> tuple[AreaMap, int]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from hiermap_cli.mapping.area_map import Matches
+    from hiermap_cli.mapping.sighting import Matches
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]

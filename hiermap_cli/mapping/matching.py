@@ -13,18 +13,16 @@ from hiermap_cli.estimation.association import (
     joint_compatibility,
     without_the_worst,
 )
-from hiermap_cli.estimation.stochastic_map import Constraint, prepare
-from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import (
-    END,
-    WALL,
+from hiermap_cli.estimation.constraint import predicted
+from hiermap_cli.mapping.area_map import WALL
+from hiermap_cli.mapping.sighting import (
     Frames,
+    Laser,
     Matches,
-    innovations,
-    match_noise,
+    Seen,
+    Sighting,
     match_rows,
-    seen_frames,
-    wall_noise,
+    object_frames,
 )
 from hiermap_cli.perception.segments import END_OPEN
 
@@ -32,7 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import AssociationConfig, FilterConfig
-    from hiermap_cli.estimation.stochastic_map import StochasticMap
+    from hiermap_cli.estimation.constraint import Constraint, Prediction
     from hiermap_cli.mapping.area_map import AreaMap
     from hiermap_cli.perception.views import SegmentView
 
@@ -40,68 +38,108 @@ if TYPE_CHECKING:
     Index = NDArray[np.int64]
 
 _NONE = np.zeros(0, dtype=np.int64)
+_NO_MATCHES = Matches(_NONE, _NONE, _NONE, _NONE, _NONE)
 MAX_SEGMENTS, MAX_CANDIDATES = 10, 3
 
 
 class Association(NamedTuple):
-    """matches: what was found, and `constraint`: its rows, ready.
+    """matches: what was found, sighting: how it is seen, and `constraint`: its rows, ready.
 
     Near: (s,) whether a segment lies near enough to some wall that it must not found a new one.
-    offered: how many segments could have been matched.
+    offered: how many segments could have been matched. known: the known ends (object indices) of
+    the wall and side of each end seen, `(segment, side)`, within their gates or not.
     """
 
     matches: Matches
+    sighting: Sighting | None
     constraint: Constraint | None
     near: NDArray[np.bool_]
     offered: int
+    known: KnownEnds
 
 
-class Pairs(NamedTuple):
-    """Segments against walls that passed their own gates, by segment, best first, c pairs."""
+KnownEnds = dict[tuple[int, int], list[int]]
+
+
+class Reached(NamedTuple):
+    """Segments that may lie on walls, c pairs sorted by segment.
+
+    overlap: (c,) share of the segment that lies within the wall's extent, negative where they
+    are apart, in [-1, 1].
+    """
 
     segment: Index
     wall: Index
+    overlap: Array
+
+
+class Offered(NamedTuple):
+    """All that may be matched: pairs within reach, and ends that would go with them.
+
+    pair: (b,) the pair with which each end goes.
+    """
+
+    matches: Matches
+    pair: Index
+
+
+class Pairs(NamedTuple):
+    """Pairs that passed their own gates, by segment, best first.
+
+    at: (g,) which of the pairs within reach. cost: (g,) lower is better.
+    """
+
+    segment: Index
+    at: Index
     cost: Array
+
+    def select(self, which: Index) -> Pairs:
+        """Some of the pairs."""
+        return Pairs(self.segment.take(which), self.at.take(which), self.cost.take(which))
 
 
 def associate(
     area: AreaMap, view: SegmentView, config: AssociationConfig, filter_config: FilterConfig
 ) -> Association:
-    """Segments to walls by joint compatibility, then their ends to the ends of those walls."""
-    V = area.V
-    frames = seen_frames(V)
-    pairs = wall_pairs(area, frames, view, config, filter_config.min_match_length)
+    """Segments to walls by joint compatibility, then their ends to the ends of those walls.
+
+    All pairs within reach, and the ends that could go with them, are predicted at one stroke:
+    gates, joint compatibility and the update all choose among these rows.
+    """
+    frames, seen = object_frames(area.V), Seen.of(view)
+    long = view.length >= filter_config.min_match_length
+    offered = int(np.count_nonzero(long))
     near = np.zeros(len(view.length), dtype=bool)
+    nothing = Association(_NO_MATCHES, None, None, near, offered, {})
+    reached = within_reach(area, frames, view, seen, config, long)
+    if not len(reached.segment):
+        return nothing
+    offers = _offered(area, view, reached)
+    sighting = Sighting.of(frames, seen, offers.matches)
+    told = predicted(area.V, *match_rows(area.V, sighting, view, offers.matches))
+    pairs = _gated(told, reached, config)
+    if not len(pairs.at):
+        return nothing
     near[pairs.segment] = True
-    offered = int(np.count_nonzero(view.length >= filter_config.min_match_length))
-    if not len(pairs.segment):
-        return Association(Matches(_NONE, _NONE, _NONE, _NONE, _NONE), None, near, offered)
     tried = _tried(pairs, view)
-    best = _best(tried.segment)
-    ends = _end_candidates(area, view, tried.segment[best], tried.wall[best])
-    # The best pair of every segment and all candidate ends, linearised once: nearly always all
-    # of these pairs hold together.
-    constraint, matches = _prepared(V, frames, view, tried.segment[best], tried.wall[best], ends)
-    k = 2 * len(best)
-    z = constraint.gain.whiten(constraint.innovation)[:k]
-    d2 = float(z @ z)
-    if d2 > chi_square(config.gate, k):
-        best = _jointly_compatible(V, frames, view, tried, config)
-        ends = _end_candidates(area, view, tried.segment[best], tried.wall[best])
-        constraint, matches = _prepared(
-            V, frames, view, tried.segment[best], tried.wall[best], ends
-        )
-    return _with_ends(constraint, matches, near, offered, config)
+    best = tried.at.take(_first(tried.segment))
+    found = _with_ends(told, sighting, offers, best, config)
+    z = found.constraint.gain.whiten(found.constraint.innovation)[: 2 * len(best)]
+    if float(z @ z) > chi_square(config.gate, 2 * len(best)):
+        best = tried.at.take(_jointly_compatible(told, tried, config))
+        found = _with_ends(told, sighting, offers, best, config)
+    return Association(found.matches, found.sighting, found.constraint, near, offered, found.known)
 
 
-def wall_pairs(
+def within_reach(
     area: AreaMap,
     frames: Frames,
     view: SegmentView,
+    seen: Seen,
     config: AssociationConfig,
-    min_length: float,
-) -> Pairs:
-    """Pairs within angle, offset and extent, gated by chi-square with 2 degrees of freedom.
+    long: NDArray[np.bool_],
+) -> Reached:
+    """Pairs of the segments that are long enough (s,) with walls, within angle, offset, extent.
 
     Segment and wall are compared as each lies to the robot: by its distance from the robot and
     its reach along itself from the foot of the perpendicular, which an error of the robot's
@@ -109,84 +147,69 @@ def wall_pairs(
     """
     f = area.features
     walls = (f.kind == WALL).nonzero()[0]
-    segments = (view.length >= min_length).nonzero()[0]
-    none = Pairs(_NONE, _NONE, np.zeros(0))
-    if not len(walls) or not len(segments):
-        return none
     F = frames.select(walls)
-    foot, aside = F.cos * F.x + F.sin * F.y, F.sin * F.x - F.cos * F.y
-    theta = view.theta[segments]
-    c, s = np.cos(theta), np.sin(theta)
-    centre, ends = view.centre[segments], view.ends[segments]
-    along = c[:, None] * ends[..., 0] + s[:, None] * ends[..., 1]
-    offset = s * centre[:, 0] - c * centre[:, 1]
-    gap = np.maximum(foot + f.lo[walls] - along[:, 1:], along[:, :1] - (foot + f.hi[walls]))
-    i, j = np.nonzero(
-        (np.cos(theta[:, None] - F.theta) > math.cos(config.max_angle))
-        & (np.abs(offset[:, None] - aside) < config.max_offset)
-        & (gap < config.max_gap)
+    laser = Laser.of(area.V)
+    # The laser along and aside of each wall, the segments along and aside of the laser.
+    place = F.local(laser.place)
+    unturn = seen.direction.conj()
+    along, aside = (unturn[:, None] * seen.ends).real, (unturn * seen.centre).imag
+    lo, hi = f.lo.take(walls) - place.real, f.hi.take(walls) - place.real
+    gap = np.maximum(lo - along[:, 1:], along[:, :1] - hi)
+    facing = (seen.direction[:, None] * (laser.turn * F.unturn)).real
+    reached = facing > math.cos(config.max_angle)
+    reached &= np.abs(aside[:, None] + place.imag) < config.max_offset
+    reached &= gap < config.max_gap
+    reached &= long[:, None]
+    segment, j = reached.nonzero()
+    overlap = -gap[segment, j] / view.length.take(segment)
+    return Reached(segment, walls.take(j), np.minimum(np.maximum(overlap, -1.0), 1.0))
+
+
+def _offered(area: AreaMap, view: SegmentView, reached: Reached) -> Offered:
+    """The pairs with every end of their segments to every known end of their walls and sides."""
+    f = area.features
+    pair, end = (f.uid.take(reached.wall)[:, None] == f.wall).nonzero()
+    segment, side = reached.segment.take(pair), f.side.take(end)
+    seen = (view.end_kind[segment, side] != END_OPEN).nonzero()[0]
+    matches = Matches(
+        reached.segment, reached.wall, segment.take(seen), side.take(seen), end.take(seen)
     )
-    if not len(i):
-        return none
-    segment, wall = segments[i], walls[j]
-    distance, log_det = _pair_distances(area.V, frames.select(wall), view, segment, wall)
-    good = distance < chi_square(config.gate, 2)
-    segment, wall = segment[good], wall[good]
-    overlap = -gap[i, j][good] / view.length[segment]
-    overlap = np.minimum(np.maximum(overlap, -1.0), 1.0)
-    cost = distance[good] + log_det[good] - config.overlap_bonus * overlap
-    order = np.lexsort((cost, segment))
-    return Pairs(segment[order], wall[order], cost[order])
+    return Offered(matches, pair.take(seen))
 
 
-def _pair_distances(
-    V: StochasticMap, frames: Frames, view: SegmentView, segment: Index, wall: Index
-) -> tuple[Array, Array]:
-    """Squared Mahalanobis distance and log det S of each pair's (y, theta) innovation.
+def _gated(told: Prediction, reached: Reached, config: AssociationConfig) -> Pairs:
+    """The pairs that pass their own gates, chi-square with 2 degrees of freedom.
 
-    The laser's x error is left out of S here: it only ranks and gates single pairs, and is in
-    the joint test that decides.
+    They are ranked by `d2 + log det S` less a bonus for overlap.
     """
-    matches = Matches(segment, wall, _NONE, _NONE, _NONE)
-    rows = match_rows(V, frames, view, matches)
-    nu_y, nu_t = rows.innovation[0::2], rows.innovation[1::2]
-    P = V.covariance
-    columns = V.first_object + 3 * wall[:, None] + np.arange(3)
-    P_ll = P[columns[:, :, None], columns[:, None, :]]
-    P_lr = P[columns[:, :, None], np.arange(3)]
-    P_rr = P[:3, :3]
-    if V.coordinates == "additive":
-        T_l, T_r = se2.invariant_D_additive(V.poses[1 + wall]), se2.invariant_D_additive(V.robot)
-        P_ll, P_lr = T_l @ P_ll @ T_l.transpose(0, 2, 1), T_l @ P_lr @ T_r.T
-        P_rr = T_r @ P_rr @ T_r.T
-    relative = P_rr + P_ll - P_lr - P_lr.transpose(0, 2, 1)
-    H = rows.H_object.reshape(-1, 2, 3)
-    S = H @ relative @ H.transpose(0, 2, 1)
-    R_yy, R_yt, R_tt = wall_noise(frames, view, segment)
-    S_yy, S_yt, S_tt = S[:, 0, 0] + R_yy, S[:, 0, 1] + R_yt, S[:, 1, 1] + R_tt
-    det = S_yy * S_tt - S_yt**2
-    d2 = (S_tt * nu_y**2 - 2.0 * S_yt * nu_y * nu_t + S_yy * nu_t**2) / det
-    return d2, np.log(det)
+    rows = 2 * len(reached.segment)
+    diagonal = told.S.diagonal()
+    S_yy, S_tt, S_yt = diagonal[0:rows:2], diagonal[1:rows:2], told.S.diagonal(1)[0:rows:2]
+    y, t = told.innovation[0:rows:2], told.innovation[1:rows:2]
+    det = S_yy * S_tt - S_yt * S_yt
+    d2 = (S_tt * y * y - 2.0 * S_yt * y * t + S_yy * t * t) / det
+    cost = d2 + np.log(det) - config.overlap_bonus * reached.overlap
+    order = np.lexsort((cost, reached.segment))
+    order = order[d2.take(order) < chi_square(config.gate, 2)]
+    return Pairs(reached.segment.take(order), order, cost.take(order))
 
 
 def _tried(pairs: Pairs, view: SegmentView) -> Pairs:
     """The best few candidates of the longest segments."""
-    first = _best(pairs.segment)
+    first = _first(pairs.segment)
     if len(first) == len(pairs.segment) <= MAX_SEGMENTS:
         return pairs
     counts = np.diff(np.append(first, len(pairs.segment)))
     rank = np.arange(len(pairs.segment)) - np.repeat(first, counts)
     keep = rank < MAX_CANDIDATES
-    longest = pairs.segment[first]
-    if len(longest) > MAX_SEGMENTS:
-        order = np.argsort(-view.length[longest], kind="stable")
+    if len(first) > MAX_SEGMENTS:
+        longest = pairs.segment.take(first)
+        order = np.argsort(-view.length.take(longest), kind="stable")
         keep &= np.isin(pairs.segment, longest[order[:MAX_SEGMENTS]])
-    if keep.all():
-        return pairs
-    return Pairs._make(column[keep] for column in pairs)
+    return pairs.select(keep.nonzero()[0])
 
 
-def _best(segment: Index) -> Index:
+def _first(segment: Index) -> Index:
     """Where each segment's run begins in a list sorted by segment: its best candidate."""
     new = np.empty(len(segment), dtype=bool)
     new[:1] = True
@@ -194,69 +217,76 @@ def _best(segment: Index) -> Index:
     return new.nonzero()[0]
 
 
-def _jointly_compatible(
-    V: StochasticMap, frames: Frames, view: SegmentView, tried: Pairs, config: AssociationConfig
-) -> Index:
+def _rows(pair: Index) -> Index:
+    """The rows (y, theta) of pairs."""
+    return np.asarray((2 * pair[:, None] + np.arange(2)).ravel())
+
+
+def _jointly_compatible(told: Prediction, tried: Pairs, config: AssociationConfig) -> Index:
     """The best pairs less one in four at most that spoil them, else branch and bound over all."""
-    matches = Matches(tried.segment, tried.wall, _NONE, _NONE, _NONE)
-    F = frames.select(tried.wall)
-    S = prepare(V, match_rows(V, F, view, matches), match_noise(F, view, matches)).gain.S
-    innovation = innovations(F, view, matches).reshape(-1, 2)
-    candidates = Candidates(tried.segment, tried.wall, tried.cost, innovation, S)
-    best = _best(tried.segment).tolist()
+    rows = _rows(tried.at)
+    innovation = told.innovation.take(rows).reshape(-1, 2)
+    S = told.S.take(rows, axis=0).take(rows, axis=1)
+    candidates = Candidates(tried.segment, tried.cost, innovation, S)
+    best = _first(tried.segment).tolist()
     kept = without_the_worst(candidates, best, config.gate, len(best) // 4)
-    if kept is not None:
-        return np.array(kept, dtype=np.int64)
-    return np.array(joint_compatibility(candidates, config.gate), dtype=np.int64)
+    if kept is None:
+        kept = joint_compatibility(candidates, config.gate)
+    return np.array(kept, dtype=np.int64)
 
 
-def _end_candidates(area: AreaMap, view: SegmentView, segment: Index, wall: Index) -> Matches:
-    """All pairs of an end of a matched segment with a known end of the same wall and side."""
-    f = area.features
-    i, side = np.nonzero(view.end_kind[segment] != END_OPEN)
-    # An end's wall and side in one number, to be compared at once.
-    known = np.where(f.kind == END, 2 * f.wall + f.side, -1)
-    a, b = np.nonzero(known == (2 * f.uid[wall[i]] + side[:, None].T).T)
-    return Matches(segment, wall, segment[i[a]], side[a], b)
+class _Chosen(NamedTuple):
+    """As in `Association`."""
 
-
-def _prepared(
-    V: StochasticMap, frames: Frames, view: SegmentView, segment: Index, wall: Index, ends: Matches
-) -> tuple[Constraint, Matches]:
-    matches = ends._replace(segment=segment, wall=wall)
-    F = frames.select(np.concatenate((wall, matches.end)))
-    rows = match_rows(V, F, view, matches)
-    return prepare(V, rows, match_noise(F, view, matches)), matches
+    matches: Matches
+    sighting: Sighting
+    constraint: Constraint
+    known: KnownEnds
 
 
 def _with_ends(
-    constraint: Constraint,
-    matches: Matches,
-    near: NDArray[np.bool_],
-    offered: int,
+    told: Prediction,
+    sighting: Sighting,
+    all_pairs: Offered,
+    chosen: Index,
     config: AssociationConfig,
-) -> Association:
-    """Keep of the candidate ends the nearest of each, one to one, within their gate."""
-    a = len(matches.wall)
-    if len(matches.end):
-        d2 = constraint.innovation[2 * a :] ** 2 / np.diagonal(constraint.gain.S)[2 * a :]
-        gate = chi_square(config.gate, 1)
-        ends = (2 * matches.end_segment + matches.end_side).tolist()
-        taken: set[int] = set()
-        keep = []
-        for k in np.argsort(d2, kind="stable").tolist():
-            if d2[k] > gate:
-                break
-            end, known = ends[k], -1 - int(matches.end[k])
-            if end not in taken and known not in taken:
-                taken.update((end, known))
-                keep.append(k)
-        if len(keep) < len(matches.end):
-            kept = np.sort(np.array(keep, dtype=np.int64))
-            constraint = constraint.select(np.concatenate((np.arange(2 * a), 2 * a + kept)))
-            matches = matches._replace(
-                end_segment=matches.end_segment[kept],
-                end_side=matches.end_side[kept],
-                end=matches.end[kept],
-            )
-    return Association(matches, constraint, near, offered)
+) -> _Chosen:
+    """The chosen pairs, and of the ends of their walls the nearest, one to one, within the gate."""
+    pairs = all_pairs.matches
+    among = np.zeros(len(pairs.wall), dtype=bool)
+    among[chosen] = True
+    ends = among.take(all_pairs.pair).nonzero()[0]
+    seen = list(
+        zip(pairs.end_segment.take(ends).tolist(), pairs.end_side.take(ends).tolist(), strict=True)
+    )
+    end = pairs.end.take(ends).tolist()
+    rows = 2 * len(pairs.wall) + ends
+    d2 = np.square(told.innovation.take(rows)) / told.S.diagonal().take(rows)
+    kept = ends.take(_one_to_one(seen, end, d2.tolist(), chi_square(config.gate, 1)))
+    known: KnownEnds = {}
+    for which, one in zip(seen, end, strict=True):
+        known.setdefault(which, []).append(one)
+    matches = Matches(
+        pairs.segment.take(chosen),
+        pairs.wall.take(chosen),
+        pairs.end_segment.take(kept),
+        pairs.end_side.take(kept),
+        pairs.end.take(kept),
+    )
+    rows = np.concatenate((_rows(chosen), 2 * len(pairs.wall) + kept))
+    return _Chosen(matches, sighting.select(chosen, kept), told.constraint(rows), known)
+
+
+def _one_to_one(
+    seen: list[tuple[int, int]], known: list[int], d2: list[float], gate: float
+) -> list[int]:
+    """Which of the pairs of ends are kept: the nearest first, no end of either kind twice."""
+    taken: set[object] = set()
+    kept = []
+    for i in sorted(range(len(d2)), key=d2.__getitem__):
+        if d2[i] > gate:
+            break
+        if seen[i] not in taken and known[i] not in taken:
+            taken.update((seen[i], known[i]))
+            kept.append(i)
+    return sorted(kept)
