@@ -115,6 +115,24 @@ class OdometryFaultConfig(Section):
     )
 
 
+class LostConfig(Section):
+    """When the robot is not where it is believed to be, and how it is found anywhere."""
+
+    scans: int = Field(3, ge=1, description="key scans in a row that fit nothing")
+    behind: Positive = Field(0.5, description="metres behind a wall that a beam cannot reach")
+    seen_through: Positive = Field(
+        0.2, le=1, description="of the beams; more go through walls where the robot is not"
+    )
+    through: Positive = Field(
+        0.2, le=1, description="of the beams; at most so many go through walls where it is found"
+    )
+    sigma: Positive = Field(5.0, description="metres, where a lost robot may be")
+    sigma_angle: Positive = Field(2.0, description="radians, how a lost robot may face")
+    min_share: Positive = Field(0.6, le=1, description="of the walls' length explained")
+    min_explained: Positive = Field(4.0, description="metres of walls explained")
+    second: Positive = Field(0.75, le=1, description="the second best place, of the best")
+
+
 class NoiseConfig(Section):
     """Noise estimated from the log itself, by factors on the variances below."""
 
@@ -298,7 +316,7 @@ class LoopConfig(Section):
     news: Positive = Field(
         0.7, lt=1, description="of its sigma, to which a place must be better known to ask again"
     )
-    rounds: int = Field(8, ge=1, description="times that loops are asked for, at most")
+    rounds: int = Field(16, ge=1, description="times that loops are asked for, at most")
 
 
 class RefineConfig(Section):
@@ -333,6 +351,13 @@ class LandmarkConfig(Section):
     end_seen: int = Field(3, ge=1, description="sightings after which a wall is known to end there")
     min_angle: Positive = Field(0.35, description="radians between the walls of a corner")
     corner_gap: Positive = Field(0.4, description="metres from a wall's end to the corner's vertex")
+    corner_touch: Positive = Field(
+        0.05, description="metres; walls that truly end nearer to each other touch"
+    )
+    open_reach: Positive = Field(
+        0.1, description="metres; from where a wall was seen last to a corner"
+    )
+    corner_sigmas: Positive = Field(3.0, description="of the place of an end, beyond that")
     parallel: Positive = Field(0.12, description="radians between walls that count as parallel")
     door_min_width: Positive = Field(0.6, description="metres between jambs")
     door_max_width: Positive = Field(1.4, description="metres between jambs; wider is no door")
@@ -372,6 +397,7 @@ class Config(Section):
     segmentation: SegmentationConfig = SegmentationConfig()
     odometry: OdometryConfig = OdometryConfig()
     odometry_faults: OdometryFaultConfig = OdometryFaultConfig()
+    lost: LostConfig = LostConfig()
     noise: NoiseConfig = NoiseConfig()
     filter: FilterConfig = FilterConfig()
     association: AssociationConfig = AssociationConfig()

@@ -55,8 +55,9 @@ class Corners:
     def find(self, lines: LineSet, taken: NDArray[np.bool_], config: LandmarkConfig) -> list[Group]:  # noqa: ARG002 - corners share their walls
         """Lines whose ends meet: `lines` are (in, out).
 
-        One of the two truly ends where they cross, within half of `corner_gap`; so does the
-        other, or it was not seen to its end and comes within `corner_gap`.
+        One of the two truly ends where they cross, within half of `corner_gap` and as near as
+        its sigma has it; so does the other, or it was not seen to its end and comes within
+        `corner_gap`.
         """
         turn = wrap(lines.theta[None, :] - lines.theta[:, None])
         wide = (np.abs(turn) > config.min_angle) & (np.abs(turn) < np.pi - config.min_angle)
@@ -72,6 +73,11 @@ class Corners:
         ok &= gap_out < np.where(ends_out, half, config.corner_gap)
         ok &= ends_in | ends_out
         i, j, cost = i[ok], j[ok], (gap_in + gap_out)[ok]
+        reach = config.corner_touch + config.corner_sigmas * _gap_sigmas(lines, i, j)
+        gaps = np.column_stack((gap_in[ok], gap_out[ok]))
+        true_ends = np.column_stack((ends_in[ok], ends_out[ok]))
+        near = (gaps < np.where(true_ends, reach, config.open_reach)).all(axis=1)
+        i, j, cost = i[near], j[near], cost[near]
         candidates = [
             (float(c), (("in", a), ("out", b)))
             for a, b, c in zip(i.tolist(), j.tolist(), cost, strict=True)
@@ -105,6 +111,24 @@ class Corners:
         return Extraction(
             POSE, pose, pose_D_lines, (shapes[a], shapes[b]), shape_D_lines, np.zeros(3)
         )
+
+
+def _gap_sigmas(lines: LineSet, i: NDArray[np.int64], j: NDArray[np.int64]) -> Array:
+    """Sigmas (k, 2) of the way from the end of line i, of line j, to where the lines cross."""
+    first, second = lines.hesse[i], lines.hesse[j]
+    V_D_lines = intersect_D_lines(first, second)
+    where = np.concatenate((4 * i[:, None] + np.arange(4), 4 * j[:, None] + np.arange(4)), axis=1)
+    C = lines.covariance[where[:, :, None], where[:, None, :]]
+    sigmas = np.empty((len(i), 2))
+    for k, (own, at, end) in enumerate(((first, 0, 3), (second, 4, 6))):
+        # Along the line ds = t . dP, and t turns with the line: - d dalpha.
+        t = np.column_stack((-np.sin(own[:, 0]), np.cos(own[:, 0])))
+        row = np.zeros((len(i), 8))
+        row[:, [0, 1, 4, 5]] = np.einsum("ki,kij->kj", t, V_D_lines)
+        row[:, at] -= own[:, 1]
+        row[:, end] -= 1.0
+        sigmas[:, k] = np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", row, C, row), 0.0))
+    return sigmas
 
 
 def _first_choice(lines: LineSet, a: int, b: int, *, concave: bool) -> int:
