@@ -340,6 +340,9 @@ class RefineConfig(Section):
     end_outlier: Positive = Field(16.0, description="chi-square of a place that is not the end")
     end_spread: Positive = Field(2.5, description="mean chi-square of the places of one end")
     end_seen: int = Field(3, ge=2, description="sightings of an end that is kept")
+    end_bias: NonNegative = Field(
+        0.2, description="of an end's sigma, the same in all scans from one side of it"
+    )
     gate_odometry: Positive = Field(11.3, description="chi-square beyond which a step counts less")
     gate_wall: Positive = Field(9.2, description="chi-square beyond which a segment counts less")
     gate_end: Positive = Field(6.6, description="chi-square beyond which an end counts less")

@@ -177,9 +177,12 @@ def wall_terms(
 
 
 def end_terms(
-    state: State, segments: ScanSegments, noise: Noise, matched: Matched, gate: float
+    state: State, segments: ScanSegments, noise: Noise, matched: Matched, gate: float, bias: float
 ) -> Terms:
-    """Each matched end along its wall."""
+    """Each matched end along its wall.
+
+    bias: how much of an end's sigma is the same in all scans that see it from the same side.
+    """
     where, s, side = layout(state), matched.end_segment, matched.end_side
     i, end = segments.scan[s], matched.end
     w = state.ends.wall[end]
@@ -197,8 +200,24 @@ def end_terms(
     index = np.concatenate((where.pose(i), where.wall(w)[:, 1:], where.end(end)), axis=1)
     weight = 1.0 / noise.ends[s, side]
     chi2 = np.square(e[:, 0]) * weight
-    weight = weight * robust_weight(chi2, gate)
+    weight = weight * robust_weight(chi2, gate) * _not_common(state, i, matched, bias)
     return Terms(i, index, J, e, weight[:, None, None], chi2)
+
+
+def _not_common(state: State, scan: Index, matched: Matched, bias: float) -> Array:
+    """What is left of the weight of ends (n,) when part of their errors is common.
+
+    How an edge comes out between two beams depends on whether one looks at its wall or back past
+    it, and however many scans look the same way, that part of the error stays: of n of them the
+    mean has the variance `(1 / n + bias^2) sigma^2`.
+    """
+    wall, side = state.ends.wall[matched.end], state.ends.side[matched.end]
+    W = state.walls.poses[wall]
+    d = state.poses[scan, :2] - W[:, :2]
+    x = np.cos(W[:, 2]) * d[:, 0] + np.sin(W[:, 2]) * d[:, 1] - state.ends.x[matched.end]
+    beyond = np.where(side == 1, x, -x) > 0.0
+    group = 2 * matched.end + beyond
+    return np.asarray(1.0 / (1.0 + bias**2 * np.bincount(group)[group]))
 
 
 def odometry_terms(

@@ -178,5 +178,5 @@ def _terms(
     return (
         odometry_terms(state, keyscans, config.odometry, factor, c.gate_odometry),
         wall_terms(state, s, noise, matched, c.gate_wall),
-        end_terms(state, s, noise, matched, c.gate_end),
+        end_terms(state, s, noise, matched, c.gate_end, c.end_bias),
     )
