@@ -31,6 +31,11 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="Configuration; see `hiermap config`.",
 )
+@click.option(
+    "--no-refine",
+    is_flag=True,
+    help="The filter alone, without going over the log again.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Nothing on stderr but errors.")
 @click.option("-v", "--verbose", is_flag=True, help="Events, times, and tracebacks on stderr.")
@@ -41,6 +46,7 @@ def command(
     config_file: Path | None,
     *,
     force: bool,
+    no_refine: bool,
     as_json: bool,
     quiet: bool,
     verbose: bool,
@@ -68,6 +74,9 @@ def command(
 
         config = load_config(config_file)
     config = config.model_copy(update={"input": chosen.over(config.input)})
+    if no_refine:
+        refine = config.refine.model_copy(update={"enabled": False})
+        config = config.model_copy(update={"refine": refine})
     with make_display(quiet=quiet, verbose=verbose) as display:
         outcome = run_log(logs, config, folder, force=force, observer=display)
         display.finish(outcome)

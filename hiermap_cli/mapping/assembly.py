@@ -207,6 +207,9 @@ def _metrics(mapper: Mapper, found: Sequence[FoundArea], laser_x: float) -> tupl
     )
     events = Counter(event.kind for event in mapper.events)
     recognised, relocated = events["area_recognised"], events["relocated"]
+    closed, held, refused = (
+        events[kind] for kind in ("loop_closed", "loop_held_back", "loop_refused")
+    )
     dropped = n.forgotten + sum(one.dropped for one in found)
     kept = sum(len(one.drafts) for one in found)
     metrics = [
@@ -215,7 +218,8 @@ def _metrics(mapper: Mapper, found: Sequence[FoundArea], laser_x: float) -> tupl
         metric("matching_failures", n.failed, n.keys),
         metric("landmarks_forgotten", dropped, kept + dropped),
         metric("areas_reentered", entries - len(mapper.portals), entries + 1),
-        metric("loops_closed", recognised, recognised),
+        metric("loops_closed", recognised + closed, recognised + closed + held + refused),
+        metric("loops_rejected", refused, recognised + closed + held + refused),
         metric("relocations", relocated, relocated),
         *(metric(name, value, n.keys) for name, value in (*calibration, *noise)),
     ]

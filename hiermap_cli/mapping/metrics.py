@@ -61,13 +61,22 @@ COUNTED_FROM_THE_MODEL = {
     "landmarks_<kind>": ("1", "landmarks kept of one kind", "landmarks"),
 }
 
-TAKEN_FROM_TRAJECTORIES = {
+OF_ONE_TRAJECTORY = {
     "path_length": ("m", "length of the final trajectory", "poses"),
     "robot_position_sigma_median": ("m", "median position deviation in g", "poses"),
     "robot_position_sigma_end": ("m", "position deviation in g at the end", "poses"),
     "odometry_correction_end": ("m", "how far odometry alone would be off at the end", "poses"),
     "odometry_correction_end_rot": ("rad", "the same of the heading", "poses"),
     "odometry_correction_max": ("m", "how far odometry alone would be off at worst", "poses"),
+}
+
+TAKEN_FROM_TRAJECTORIES = {
+    **OF_ONE_TRAJECTORY,
+    **{
+        f"{prefix}_{name}": (units, f"{meaning}, by {what}", n)
+        for prefix, what in (("filter", "the filter alone"), ("refined", "the refinement"))
+        for name, (units, meaning, n) in OF_ONE_TRAJECTORY.items()
+    },
     "refinement_max": ("m", "largest difference of the filter's and the final pose", "poses"),
 }
 
@@ -122,19 +131,30 @@ def trajectory_metrics(
     n = len(final.poses)
     if n == 0:
         return ()
-    steps = np.linalg.norm(np.diff(final.poses[:, :2], axis=0), axis=1)
-    variances = np.trace(final.covariances[:, :2, :2], axis1=1, axis2=2)
-    R_g_o = compose(final.poses[0], invert(odometry[0]))
-    error = between(final.poses, compose(R_g_o, odometry))
-    off = np.linalg.norm(error[:, :2], axis=1)
     refined = np.linalg.norm(final.poses[:, :2] - by_filter.poses[:, :2], axis=1)
-    sigma = np.sqrt(np.maximum(variances, 0.0))
+    both = (("", final), ("filter_", by_filter), ("refined_", final))
     return (
-        metric("path_length", float(steps.sum()), n),
-        metric("robot_position_sigma_median", float(np.median(sigma)), n),
-        metric("robot_position_sigma_end", float(sigma[-1]), n),
-        metric("odometry_correction_end", float(off[-1]), n),
-        metric("odometry_correction_end_rot", float(abs(wrap(error[-1, 2]))), n),
-        metric("odometry_correction_max", float(off.max()), n),
+        *(
+            metric(prefix + name, value, n)
+            for prefix, trajectory in (both if final is not by_filter else both[:2])
+            for name, value in _track_figures(trajectory, odometry).items()
+        ),
         metric("refinement_max", float(refined.max()), n),
     )
+
+
+def _track_figures(trajectory: Trajectory, odometry: Array) -> dict[str, float]:
+    steps = np.linalg.norm(np.diff(trajectory.poses[:, :2], axis=0), axis=1)
+    variances = np.trace(trajectory.covariances[:, :2, :2], axis1=1, axis2=2)
+    sigma = np.sqrt(np.maximum(variances, 0.0))
+    R_g_o = compose(trajectory.poses[0], invert(odometry[0]))
+    error = between(trajectory.poses, compose(R_g_o, odometry))
+    off = np.linalg.norm(error[:, :2], axis=1)
+    return {
+        "path_length": float(steps.sum()),
+        "robot_position_sigma_median": float(np.median(sigma)),
+        "robot_position_sigma_end": float(sigma[-1]),
+        "odometry_correction_end": float(off[-1]),
+        "odometry_correction_end_rot": float(abs(wrap(error[-1, 2]))),
+        "odometry_correction_max": float(off.max()),
+    }

@@ -42,6 +42,7 @@ def map_log(
     if config.refine.enabled:
         refined = refine(mapper, by_filter)
         mapper.areas[:], levels = refined.areas, refined.levels
+        mapper.events.extend(refined.loops.events)
     timing["refinement"] = time.process_time() - begin
     begin = time.process_time()
     result = assemble(mapper, by_filter, levels, laser_x=mounts[0] if mounts else 0.0)
