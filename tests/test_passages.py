@@ -8,7 +8,9 @@ import pytest
 from hiermap_cli.config import DoorConfig, LaserConfig
 from hiermap_cli.geometry import se2
 from hiermap_cli.logs.records import LaserGeometry, Mount, ScanBlock
+from hiermap_cli.mapping.near_ends import NearEnds
 from hiermap_cli.mapping.passages import (
+    KEPT,
     Passage,
     PassageDetector,
     Trace,
@@ -210,3 +212,36 @@ def test_a_chord_is_exact_as_far_as_it_is_asked_for():
         else:
             assert asked > 2.05
     assert 10 < short < 50
+
+
+def test_ends_of_the_last_scans_are_those_added():
+    """However often the store is filled up, forgotten and moved."""
+    rng = np.random.default_rng(1)
+    store, expected, none = NearEnds(), [], np.zeros((0, 2))
+    for k in range(400):
+        points = rng.uniform(-3.0, 3.0, (int(rng.integers(0, 60)), 2))
+        store.append(points)
+        expected.append(points)
+        if k % 7 == 0:
+            old = int(rng.integers(0, len(expected)))
+            del store[:old], expected[:old]
+        if k % 11 == 0:
+            young = int(rng.integers(len(expected) // 2, len(expected) + 1))
+            del store[young:], expected[young:]
+        if k % 50 == 0:
+            R = rng.uniform(-2.0, 2.0, 3)
+            store.move(R)
+            expected = [R[:2] + points @ se2.rotation(R[2]).T for points in expected]
+        assert len(store) == len(expected)
+        since = int(rng.integers(0, len(expected) + 1))
+        assert store.since(since) == pytest.approx(np.concatenate([none, *expected[since:]]))
+    assert store.since(len(expected)).shape == (0, 2)
+
+
+def test_only_the_last_metres_are_remembered():
+    trace = Trace()
+    for _ in range(200):
+        trace.add(np.array([trace.length, 0.0, 0.0]), 0.1, Sight(np.zeros(2), np.ones((3, 2))))
+    assert trace.travelled[0] >= trace.length - KEPT
+    assert len(trace.poses) == len(trace.ends) == pytest.approx(KEPT / 0.1, abs=2)
+    assert len(trace.near.since(0)) < 3 * len(trace.poses)

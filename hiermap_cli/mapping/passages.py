@@ -11,13 +11,14 @@ passes; beside furniture the beams go on.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.near_ends import NearEnds
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,12 +36,12 @@ APART, APART_ANGLE = 0.08, 0.1  # metres or radians between scans that are remem
 NEAR_APART = 0.3  # metres and radians, together, between scans whose ends tell the width
 SAMPLE = 0.12  # metres of path between the points at which its width is taken
 LAG = 0.3  # metres of path beyond a point before its width is taken
+BESIDE = 0.4  # metres of path within which a narrow place is the narrowest, and told once
 WIDEST = 1.6  # metres from a point of the path in which a jamb is looked for
 SECTORS = 48
 OPPOSITE = 2  # sectors by which the two jambs may miss opposite directions
 # The sectors that lie across from each.
 ACROSS = (np.arange(SECTORS)[:, None] + np.arange(-OPPOSITE, OPPOSITE + 1) + SECTORS // 2) % SECTORS
-NO_ENDS = np.zeros(0, dtype=np.int64)
 # Metres across the line and radians by which a frame is moved to lie along walls, in two rounds.
 COARSE = tuple((0.0, 0.2 * k) for k in (0, 1, -1, 2, -2, 3, -3))
 FINE = tuple((offset, 0.1 * k) for offset in (0.0, 0.1, -0.1) for k in (0, 1, -1))
@@ -83,7 +84,7 @@ class Trace:
     poses: list[Array] = field(default_factory=list)
     origins: list[Array] = field(default_factory=list)
     ends: list[Array] = field(default_factory=list)
-    near: list[Array] = field(default_factory=list)
+    near: NearEnds = field(default_factory=NearEnds)
     length: float = 0.0
     fresh: int = 0  # of the last scans: not yet taken by `older`
     entered: float = 0.0  # metres of path at which it came into the present area
@@ -142,8 +143,9 @@ class Trace:
         c, s = np.cos(R_b_a[2]), np.sin(R_b_a[2])
         turn = np.array([[c, s], [-s, c]])
         self.poses = [se2.compose(R_b_a, pose) for pose in self.poses]
-        for kept in (self.origins, self.ends, self.near):
+        for kept in (self.origins, self.ends):
             kept[:] = [R_b_a[:2] + points @ turn for points in kept]
+        self.near.move(R_b_a)
 
     def rays(self, start: float) -> tuple[Array, Array]:
         """Origins and ends (n, 2) of all beams since `start` metres of path."""
@@ -194,7 +196,7 @@ class PassageDetector:
         point = a + min(max(f, 0.0), 1.0) * (b - a)
         recent = bisect_left(trace.travelled, s - NEAR)
         most = self.config.max_width + self.config.widening
-        width, jambs = narrowest_chord(point, np.concatenate(trace.near[recent:]), most)
+        width, jambs = narrowest_chord(point, trace.near.since(recent), most)
         self.at.append(s)
         self.width.append(width)
         self.jambs.append(jambs)
@@ -209,31 +211,29 @@ class PassageDetector:
             return None
         if min(self.width) > c.max_width:
             return None
-        at, width = np.asarray(self.at), np.asarray(self.width)
-        s = at[-1]
-        window = np.flatnonzero((at > max(s - c.reach, self._last)) & (at <= s - 0.4))
-        if not len(window):
+        at, width = self.at, self.width
+        first = bisect_right(at, max(at[-1] - c.reach, self._last))
+        last = bisect_right(at, at[-1] - BESIDE)
+        i = min(range(first, last), key=width.__getitem__, default=-1)
+        if i < 0 or not c.min_width <= width[i] <= c.max_width:
             return None
-        i = int(window[np.argmin(width[window])])
-        if not c.min_width <= width[i] <= c.max_width:
+        before = width[bisect_left(at, at[i] - c.reach) : i]
+        after = width[i + 1 : bisect_right(at, at[i] + c.reach)]
+        near = width[bisect_left(at, at[i] - BESIDE) : bisect_right(at, at[i] + BESIDE)]
+        if not before or width[i] > min(near):
             return None
-        before = width[(at < at[i]) & (at >= at[i] - c.reach)]
-        after = width[(at > at[i]) & (at <= at[i] + c.reach)]
-        near = np.abs(at - at[i]) <= 0.4
-        if not len(before) or width[i] > width[near].min():
-            return None
-        if min(before.max(), after.max()) < width[i] + c.widening:
+        if min(max(before), max(after)) < width[i] + c.widening:
             return None
         frame = _frame(self.jambs[i], self.heading[i])
         if se2.between(frame, trace.poses[-1])[1] < STAND_OFF:
             return None
         if abs(np.sin(np.arctan2(*self.heading[i][::-1]) - frame[2])) < STRAIGHT:
             return None
-        self._last = float(at[i]) + 0.4
-        if _came_by(frame, float(width[i]), trace, float(at[i])):
+        self._last = at[i] + BESIDE
+        if _came_by(frame, width[i], trace, at[i]):
             return None
-        frame, wall, opened = aligned(frame, float(width[i]), *trace.rays(at[i] - 4.0))
-        return Passage(frame, float(width[i]), float(at[i]), wall, opened)
+        frame, wall, opened = aligned(frame, width[i], *trace.rays(at[i] - 4.0))
+        return Passage(frame, width[i], at[i], wall, opened)
 
 
 def _came_by(frame: Array, width: float, trace: Trace, travelled: float) -> bool:
@@ -264,27 +264,29 @@ def narrowest_chord(point: Array, ends: Array, most: float = 2.0 * WIDEST) -> tu
     """
     x, y = ends[:, 0] - point[0], ends[:, 1] - point[1]
     r2 = x * x + y * y
+    shortest = math.sqrt(r2.min(initial=WIDEST * WIDEST))
+    if 2.0 * shortest > most:
+        return 2.0 * WIDEST, np.array((point, point))
     # Even with the nearest end of all, one farther than this makes a chord that is too long.
-    limit = min(WIDEST, most - math.sqrt(r2.min(initial=WIDEST * WIDEST)))
-    near = (r2 < limit * limit).nonzero()[0] if limit > 0.0 else NO_ENDS
+    near = (r2 < min(WIDEST, most - shortest) ** 2).nonzero()[0]
     x, y, r = x[near], y[near], np.sqrt(r2[near])
-    sector = (np.arctan2(y, x) * (SECTORS / (2.0 * np.pi)) + SECTORS).astype(np.int64)
-    sector[sector >= SECTORS] -= SECTORS
-    nearest = np.full(SECTORS, WIDEST)
+    sector = ((np.arctan2(y, x) + np.pi) * (SECTORS / (2.0 * np.pi))).astype(np.int64)
+    nearest = np.full(SECTORS + 1, WIDEST)
     np.minimum.at(nearest, sector, r)
+    nearest[0] = min(nearest[0], nearest[SECTORS])  # where the angle is pi
     across = nearest[ACROSS]
-    chord = nearest + across.min(axis=1)
+    chord = nearest[:SECTORS] + across.min(axis=1)
     i = int(chord.argmin())
     if chord[i] > most:
         return 2.0 * WIDEST, np.array((point, point))
     j = int(ACROSS[i, across[i].argmin()])
     jambs = np.empty((2, 2))
-    for k, b in enumerate((i, j)):
+    for k, b in enumerate((j, i)):
         if nearest[b] < WIDEST:
-            at = ((r == nearest[b]) & (sector == b)).argmax()
+            at = ((r == nearest[b]) & (sector % SECTORS == b)).argmax()
             jambs[k] = point[0] + x[at], point[1] + y[at]
         else:
-            angle = 2.0 * np.pi * (b + 0.5) / SECTORS
+            angle = 2.0 * np.pi * (b + 0.5) / SECTORS - np.pi
             jambs[k] = point + WIDEST * np.array([np.cos(angle), np.sin(angle)])
     return float(chord[i]), jambs
 

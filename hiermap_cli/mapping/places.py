@@ -136,15 +136,16 @@ class Places:
         grid = self.grids.get(area)
         if grid is None:
             return Region(np.zeros((0, 0), dtype=bool), (0, 0))
-        doors = door_barriers(area, map_, portals)
+        doors = sum((p.a == area) + (p.b == area) for p in portals if p.kind == "door")
         known = self._regions.get(area)
         if known is not None:
             scans, barriers, region = known
             # A tenth more scans hardly move its bounds.
-            if barriers == len(doors) and scans <= grid.scans <= 1.1 * scans + 2.0:
+            if barriers == doors and scans <= grid.scans <= 1.1 * scans + 2.0:
                 return region
-        region = grid.region(self.path(area), doors, self.widest_door, NEAR_BY)
-        self._regions[area] = (grid.scans, len(doors), region)
+        bars = door_barriers(area, map_, portals)
+        region = grid.region(self.path(area), bars, self.widest_door, NEAR_BY)
+        self._regions[area] = (grid.scans, doors, region)
         return region
 
     def path(self, area: int) -> Array:
