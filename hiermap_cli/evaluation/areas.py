@@ -239,9 +239,15 @@ def _shares(
 
 def _overlaps(first: Iterable[Any], second: Iterable[Any]) -> Array:
     """Areas of intersection, shape (n, m)."""
+    import shapely
+
     rows, columns = list(first), list(second)
-    areas = [[a.intersection(b).area for b in columns] for a in rows]
-    return np.array(areas, dtype=float).reshape(len(rows), len(columns))
+    overlap = np.zeros((len(rows), len(columns)))
+    if rows and columns:
+        i, j = shapely.STRtree(columns).query(rows)  # those whose boxes meet
+        meet = shapely.intersection(np.array(rows, dtype=object)[i], np.array(columns)[j])
+        overlap[i, j] = shapely.area(meet)
+    return overlap
 
 
 def _ious(first: Iterable[Any], second: Iterable[Any]) -> Array:

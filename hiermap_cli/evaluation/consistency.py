@@ -150,14 +150,15 @@ def _independent(model: HierarchicalModel, ids: tuple[str, ...], values: Array) 
     """How many landmarks' values are independent: those of one area share its frame's error."""
     frames = {area: one.covariance for area, one in model.environment.areas}
     homes = {landmark.id: landmark.area for landmark in model.landmarks}
-    landmarks = {landmark.id: landmark for landmark in model.landmarks}
+    chosen = set(ids)
+    points = landmark_points(model, (one for one in model.landmarks if one.id in chosen))
+    variance = dict(zip(points.ids, np.trace(points.covariances, axis1=1, axis2=2), strict=True))
     groups: dict[str, list[float]] = {}
     for id_, value in zip(ids, values, strict=True):
         if math.isnan(value):
             continue
-        whole = float(np.trace(landmark_points(model, [landmarks[id_]]).covariances[0]))
         of_frame = float(np.trace(frames[homes[id_]][:2, :2]))
-        groups.setdefault(homes[id_], []).append(min(of_frame / whole, 1.0))
+        groups.setdefault(homes[id_], []).append(min(of_frame / float(variance[id_]), 1.0))
     return independent_of_groups([np.array(group) for group in groups.values()])
 
 

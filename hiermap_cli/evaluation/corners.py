@@ -9,7 +9,7 @@ import numpy as np
 
 from hiermap_cli.evaluation.matching import match_points
 from hiermap_cli.evaluation.measures import measured, ratio, rms
-from hiermap_cli.evaluation.visibility import ALL_AROUND, View, in_sight, spread
+from hiermap_cli.evaluation.visibility import ALL_AROUND, View, in_view, is_clear
 from hiermap_cli.evaluation.walls import segment_distances, solid_segments
 from hiermap_cli.mapping.model import Metric
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 CORNER_RADIUS = 0.25  # metres between a corner found and the true one
 _JOINED = 0.01  # metres between wall ends that are one point
 _PARALLEL = math.radians(5.0)  # walls that differ by less make no corner
+_ABOUT = 5.0  # metres about a corner, in which most of what hides it stands
 _ALONG = 0.1  # metres along each wall that must be seen for its corner to be seen
 
 
@@ -169,16 +170,29 @@ def corner_metrics(
 def _seen(
     corners: ReferenceCorners, reference: ReferenceMap, views: Array, view: View
 ) -> NDArray[np.bool_]:
-    """Which corners (c,) are in sight with both their walls from one of the poses."""
+    """Which corners (c,) are in sight with both their walls from one of the poses.
+
+    The nearest poses are asked first: from one of them most corners are seen that are seen at all.
+    """
     obstacles = solid_segments(reference)
-    known = np.zeros(len(corners.points), dtype=bool)
-    for batch in spread(views, 40):
-        rest = corners.select(~known)
-        seen = in_sight(batch, rest.points, obstacles, view)
-        for side in (0, 1):
-            seen = seen & in_sight(batch, rest.sides[:, side], obstacles, view)
-        known[~known] = seen.any(axis=0)
-    return known
+    low = np.minimum(obstacles[:, :2], obstacles[:, 2:])
+    high = np.maximum(obstacles[:, :2], obstacles[:, 2:])
+    seen = np.zeros(len(corners.points), dtype=bool)
+    for c, (point, sides) in enumerate(zip(corners.points, corners.sides, strict=True)):
+        targets = np.concatenate((point[None], sides))
+        near = views[np.argsort(((views[:, :2] - point) ** 2).sum(axis=1), kind="stable")]
+        # What hides a corner from afar stands about it as a rule: few lines are left for the rest.
+        about = obstacles[((low <= point + _ABOUT) & (high >= point - _ABOUT)).all(axis=1)]
+        begin, size = 0, 8
+        while begin < len(near) and not seen[c]:
+            batch = near[begin : begin + size]
+            batch = batch[in_view(batch, targets, view).all(axis=1)]
+            for blockers in (about, obstacles):
+                for target in targets:
+                    batch = batch[is_clear(batch[:, :2], target, blockers)]
+            seen[c] = len(batch) > 0
+            begin, size = begin + size, 4 * size
+    return seen
 
 
 def _in_visited(points: Array, reference: ReferenceMap) -> NDArray[np.bool_]:

@@ -64,23 +64,39 @@ def in_sight(
     A wall nearer than `margin` metres to the target on the line of sight does not hide it: it is
     what the target is part of.
     """
+    seen = in_view(views, targets, view)
+    for t, target in enumerate(targets):
+        v = np.flatnonzero(seen[:, t])
+        seen[v, t] = is_clear(views[v, :2], target, blockers, margin)
+    return seen
+
+
+def in_view(views: Array, targets: Array, view: View) -> NDArray[np.bool_]:
+    """Whether targets (T, 2) lie within reach and field of view of poses (V, 3): (V, T)."""
     towards = targets[None, :, :] - views[:, None, :2]
     distance = np.hypot(towards[..., 0], towards[..., 1])
     bearing = np.arctan2(towards[..., 1], towards[..., 0]) - views[:, None, 2]
-    seen = (distance <= view.reach) & (np.abs(wrap(bearing)) <= 0.5 * view.field_of_view + 1e-9)
+    return (distance <= view.reach) & (np.abs(wrap(bearing)) <= 0.5 * view.field_of_view + 1e-9)
+
+
+def is_clear(
+    origins: Array, target: Array, blockers: Array, margin: float = 0.02
+) -> NDArray[np.bool_]:
+    """Whether nothing of the segments (W, 4) stands between origins (K, 2) and a target (2,).
+
+    What stands nearer than `margin` metres to the target does not hide it.
+    """
+    clear = np.ones(len(origins), dtype=bool)
     if len(blockers) == 0:
-        return seen
-    v, t = np.nonzero(seen)
-    clear = np.empty(len(v), dtype=bool)
+        return clear
+    towards = target - origins
+    distance = np.hypot(towards[:, 0], towards[:, 1])
     chunk = max(1, _CHUNK // len(blockers))
-    for begin in range(0, len(v), chunk):
+    for begin in range(0, len(origins), chunk):
         part = slice(begin, begin + chunk)
-        reach = distance[v[part], t[part]]
-        direction = towards[v[part], t[part]] / np.maximum(reach, 1e-12)[:, None]
-        hit = first_hits(views[v[part], :2], direction, blockers)
-        clear[part] = hit >= reach - margin
-    seen[v, t] = clear
-    return seen
+        direction = towards[part] / np.maximum(distance[part], 1e-12)[:, None]
+        clear[part] = first_hits(origins[part], direction, blockers) >= distance[part] - margin
+    return clear
 
 
 def first_hits(origins: Array, directions: Array, blockers: Array) -> Array:

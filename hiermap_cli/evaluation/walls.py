@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+_CHUNK = 500_000  # pairs of point and segment worked on at once
 WALL_RADIUS = 0.5  # metres; an end point farther from every wall is an outlier
 
 
@@ -68,8 +69,10 @@ def segment_distances(points: Array, segments: Array) -> Array:
     start, span = segments[:, :2], segments[:, 2:] - segments[:, :2]
     squared = np.maximum((span**2).sum(axis=1), 1e-18)
     nearest = np.full(len(points), math.inf)
-    for i, point in enumerate(points):
-        apart = point - start
-        along = np.clip((apart * span).sum(axis=1) / squared, 0.0, 1.0)
-        nearest[i] = np.sqrt(((apart - along[:, None] * span) ** 2).sum(axis=1).min())
+    chunk = max(1, _CHUNK // max(len(segments), 1))
+    for begin in range(0, len(points), chunk):
+        x, y = (points[begin : begin + chunk, None] - start).transpose(2, 0, 1)
+        along = np.clip((x * span[:, 0] + y * span[:, 1]) / squared, 0.0, 1.0)
+        away = (x - along * span[:, 0]) ** 2 + (y - along * span[:, 1]) ** 2
+        nearest[begin : begin + chunk] = np.sqrt(away.min(axis=1, initial=math.inf))
     return nearest
