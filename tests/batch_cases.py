@@ -37,10 +37,12 @@ SAME_BYTES = (
 )
 
 
-def small_log(path: Path, *, turn: int = 0) -> Path:
-    """A log of some scans; another `turn` is another content."""
+def small_log(path: Path, *, turn: int = 0, scans: int = 4) -> Path:
+    """A log of a few scans; another `turn` is another content."""
+    lines = log_cases.carmen_text().splitlines(keepends=True)
+    ends = [index for index, line in enumerate(lines) if line.startswith("FLASER")]
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(f"# {turn}\n" + log_cases.carmen_text())
+    path.write_text(f"# {turn}\n" + "".join(lines[: ends[scans]]))
     return path
 
 
@@ -136,8 +138,20 @@ def reader_of(pipe: Path, process: subprocess.Popen[str]) -> int:
     """The worker that has opened a hanging log; it hangs on, for the pipe is held open here."""
     held = until(partial(_other_end, pipe), "somebody who reads the pipe")
     GRIPS.append(held)
-    [pid] = [one for one in children(process.pid) if str(pipe) in _open_files(one)]
+    [pid] = [one for one in children(process.pid) if str(pipe) in open_files(one)]
     return pid
+
+
+def reader_below(pipe: Path, parents: list[int]) -> tuple[int, int]:
+    """The same for workers of several parents: the reader, and which parent has started it."""
+    GRIPS.append(until(partial(_other_end, pipe), "somebody who reads the pipe"))
+    [found] = [
+        (one, parent)
+        for parent in parents
+        for one in children(parent)
+        if str(pipe) in open_files(one)
+    ]
+    return found
 
 
 GRIPS: list[int] = []  # ends of pipes, held open as long as the tests run
@@ -150,7 +164,7 @@ def _other_end(pipe: Path) -> int | None:
         return None  # nobody reads
 
 
-def _open_files(pid: int) -> set[str]:
+def open_files(pid: int) -> set[str]:
     return {os.readlink(one) for one in Path(f"/proc/{pid}/fd").iterdir()}  # noqa: PTH115
 
 

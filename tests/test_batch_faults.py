@@ -34,12 +34,13 @@ from batch_cases import (
 LOGS = 3
 
 
-def with_a_hanging_one(tmp_path, **defaults):
+def with_a_hanging_one(tmp_path, **limits):
     """Three logs, and one between them that never ends; the jobs file and the pipe."""
-    logs = small_logs(tmp_path, LOGS)
+    first, *others = small_logs(tmp_path, LOGS)
     pipe = hanging_log(tmp_path / "hangs.log")
-    jobs = jobs_of([logs[0], pipe, *logs[1:]], tmp_path / "jobs.yaml", **defaults)
-    return jobs, pipe
+    entries = [{"name": log.stem, "log": log.name} for log in (first, pipe, *others)]
+    entries[1] |= limits
+    return write_jobs(tmp_path / "jobs.yaml", entries), pipe
 
 
 def mend(pipe, turn=9):
@@ -171,7 +172,7 @@ def test_the_parent_is_killed_and_nobody_goes_on(tmp_path):
 
 def test_killed_at_any_moment_the_end_is_the_same(tmp_path):
     logs = small_logs(tmp_path, 8)
-    jobs = jobs_of(logs, tmp_path / "jobs.yaml", limits=["landmarks>=1"])
+    jobs = jobs_of(logs, tmp_path / "jobs.yaml", limits=["areas>=1"])
     assert batch(jobs, "-o", tmp_path / "undisturbed").returncode == 0
     wanted = results(tmp_path / "undisturbed")
     out = tmp_path / "out"

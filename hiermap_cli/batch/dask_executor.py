@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor, Future
 
 EXTRA = "pip install 'hiermap[dask]'"
-CONNECT_LIMIT = 15.0  # seconds
+CONNECT_LIMIT = 10.0  # seconds
 _AHEAD = 2  # tasks that the cluster holds for each of its threads: one at work, one waiting
 _COUNT_EVERY = 10.0  # seconds between looks at how many threads the cluster has
 _OWNER_EVERY = 1.0  # seconds between looks at whether the batch is alive

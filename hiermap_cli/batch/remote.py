@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 EXTRA = "pip install 'hiermap[remote]'"
 _CHUNK = 1 << 20
+_MISSING = (404, 410)
+_HEAD_LIMIT = 30.0  # seconds
 # What servers call a file's state. Each is enough, but a date, which wants the size beside it.
 _TAGS = ("ETag", "etag", "checksum", "md5Hash", "content_md5", "VersionId")
 _DATES = ("LastModified", "last_modified", "mtime", "updated", "created")
@@ -89,10 +91,23 @@ def remote_state(url: str) -> dict[str, Any] | None:
     for key in _TAGS:
         if about.get(key):
             return {"size": size, "tag": str(about[key])}
-    for key in _DATES:
-        if about.get(key) and size is not None:
-            return {"size": size, "date": str(about[key])}
-    return None
+    date = next((about[key] for key in _DATES if about.get(key)), None)
+    if date is None and url.startswith("http"):
+        date = _last_modified(url)
+    return {"size": size, "date": str(date)} if date and size is not None else None
+
+
+def _last_modified(url: str) -> str | None:
+    """The header of that name, which fsspec leaves out."""
+    import urllib.request
+
+    request = urllib.request.Request(url, method="HEAD")  # noqa: S310 - http or https
+    try:
+        with urllib.request.urlopen(request, timeout=_HEAD_LIMIT) as answer:  # noqa: S310
+            date: str | None = answer.headers.get("Last-Modified")
+    except (OSError, ValueError):
+        return None  # it is fetched, then, and looked at
+    return date
 
 
 def fetch(url: str, folder: Path) -> Path:
@@ -148,6 +163,10 @@ class _errors:  # noqa: N801 - reads as a word of the language
         return None
 
     def __exit__(self, kind: object, error: BaseException | None, at: object) -> None:
+        cause = error.__cause__ if error is not None else None
+        missing = getattr(cause, "status", None) in _MISSING
+        if isinstance(error, FileNotFoundError) and isinstance(cause, Exception) and not missing:
+            error = cause  # of a server that cannot be reached, fsspec says that no file is there
         if isinstance(error, FileNotFoundError):
             raise InputError(f"{shown(self._url)}: no such file") from None
         if isinstance(error, ImportError):

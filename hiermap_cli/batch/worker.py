@@ -73,9 +73,11 @@ def main(parent: int) -> None:
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(lines,), daemon=True).start()
 
+    from hiermap_cli.batch.memory import settle_in
     from hiermap_cli.batch.run_job import run_job
     from hiermap_cli.mapping import run  # noqa: F401 - loaded before the first job's clock runs
 
+    settle_in()
     _send(out, {"ready": os.getpid()})
     while True:
         _work(json.loads(lines.get()), out, run_job)
@@ -84,13 +86,13 @@ def main(parent: int) -> None:
 def _work(order: dict[str, Any], out: IO[str], run_job: Callable[..., Any]) -> None:
     """One job."""
     from hiermap_cli.batch.job import Job
-    from hiermap_cli.batch.memory import begin_job
+    from hiermap_cli.batch.memory import begin_job, set_hard_stop
 
     job = Job.from_json(order["job"])
     begin_job(job.memory_limit)
     teller = Teller(lambda event: _send(out, {"event": event}), watched=order["watched"])
     outcome = run_job(job, Path(order["folder"]), Path(order["workshop"]), teller)
-    begin_job(None)
+    set_hard_stop(None)
     _send(out, {"outcome": outcome._asdict()})
 
 

@@ -64,7 +64,8 @@ def junit_xml(name: str, cases: Iterable[Case]) -> bytes:
                 written.result = [outcome]
         if case.output:
             written.system_out = xml_text(case.output)
-        suite.add_testcase(written)
+        suite.append(written)  # add_testcase would count all cases anew for each
+    suite.update_statistics()
     report: Any = JUnitXml(xml_text(name))
     report.add_testsuite(suite)
     report.update_statistics()
