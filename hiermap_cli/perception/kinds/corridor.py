@@ -50,12 +50,13 @@ class Corridors:
         candidates = _pairs(lines, config)
         groups: list[Group] = []
         poses: list[Array] = []
+        together = _in_line(lines, config)
         for a, b in candidates:
+            if _facing(lines, a, b, together) < _needed(lines, a, b, config):
+                continue
             first, second = (a, b) if lines.length[a] >= lines.length[b] else (b, a)
             pose = corridor_pose(lines.hesse[[first, second]], _middle(lines, first, second), FIRST)
-            if any(_same(pose, other, config) for other in poses):
-                continue
-            if _facing(lines, a, b, config) >= _needed(lines, a, b, config):
+            if not any(_same(pose, other, config) for other in poses):
                 groups.append(Group(self.kinds[0], (first, second), FIRST))
                 poses.append(pose)
         return groups
@@ -123,15 +124,20 @@ def _stretch(lines: LineSet, a: int, b: int) -> tuple[float, float]:
     return float(ends.min()), float(ends.max())
 
 
-def _facing(lines: LineSet, a: int, b: int, config: LandmarkConfig) -> float:
+def _in_line(lines: LineSet, config: LandmarkConfig) -> NDArray[np.bool_]:
+    """Which lines (second axis) are pieces in line with which ones (first axis), (n, n)."""
+    turned = np.abs(wrap(lines.theta - lines.theta[:, None]))
+    off = np.abs(offset_of(lines.hesse[:, None, None], lines.ends)).max(axis=2)
+    return np.asarray((turned < config.parallel) & (off < config.same))
+
+
+def _facing(lines: LineSet, a: int, b: int, in_line: NDArray[np.bool_]) -> float:
     """Metres along line a on which pieces in line with a face pieces in line with b."""
     s = along_of(lines.hesse[a], lines.ends)
     steps = np.arange(float(s.min()), float(s.max()), _STEP) + 0.5 * _STEP
     both = np.ones(len(steps), dtype=bool)
     for line in (a, b):
-        turned = np.abs(wrap(lines.theta - lines.theta[line]))
-        off = np.abs(offset_of(lines.hesse[line], lines.ends)).max(axis=1)
-        pieces = np.sort(s[(turned < config.parallel) & (off < config.same)], axis=1)
+        pieces = np.sort(s[in_line[line]], axis=1)
         both &= ((pieces[:, :1] <= steps) & (steps <= pieces[:, 1:])).any(axis=0)
     return float(both.sum()) * _STEP
 
