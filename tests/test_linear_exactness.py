@@ -153,9 +153,9 @@ def seen_again(V, kalman, rng, update):
     H_parameters = np.zeros((len(z), 4))
     H_parameters[0::2, LASER_X] = -1.0
     rows = Rows(measure(V), np.repeat(1 + which, 2), H_object, H_parameters)
-    V, nis = constrain(V, prepare(V, rows, R), measure, update)
+    V, made = constrain(V, prepare(V, rows, R), measure, update)
     expected = kalman.update(H, z, R)
-    assert nis == pytest.approx(expected, rel=1e-7)
+    assert made.nis == pytest.approx(expected, rel=1e-7)
     return V
 
 

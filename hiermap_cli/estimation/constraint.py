@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.gaussian import Gain, condition, gain, robot_correction
+from hiermap_cli.estimation.gaussian import (
+    Correction,
+    Gain,
+    condition,
+    gain,
+    robot_correction,
+)
 from hiermap_cli.estimation.stochastic_map import StochasticMap, corrected
 from hiermap_cli.geometry import se2
 
@@ -125,8 +131,8 @@ def constrain(
     constraint: Constraint,
     measure: Callable[[StochasticMap], Array],
     update: Update = "relocation_fusion",
-) -> tuple[StochasticMap, float]:
-    """Equation 3: objects seen again. Returns V after it and the NIS.
+) -> tuple[StochasticMap, Correction]:
+    """Equation 3: objects seen again. Returns V after it, and the correction that was made.
 
     `measure` gives the innovations (k,) of the same rows predicted from another V. With
     `relocation_fusion` (Moutarlier and Chatila) the robot is first corrected alone, from all
@@ -143,8 +149,8 @@ def constrain(
         relocation = robot_correction(constraint.gain, innovation)
         relocated = _relocated(V, relocation)
         innovation = measure(relocated) + constraint.H_robot @ relocation
-    delta, P, nis = condition(V.covariance, constraint.gain, innovation)
-    return corrected(V, delta, P), nis
+    made = condition(V.covariance, constraint.gain, innovation)
+    return corrected(V, made.delta, made.covariance), made
 
 
 def _relocated(V: StochasticMap, delta_r: Array) -> StochasticMap:

@@ -37,15 +37,14 @@ def compose(R_a_b: Array, R_b_c: Array) -> Array:
     R_a_b, R_b_c = np.asarray(R_a_b, dtype=float), np.asarray(R_b_c, dtype=float)
     if R_a_b.ndim == R_b_c.ndim == 1:
         return _compose_one(R_a_b, R_b_c)
-    x_a, y_a, theta_a = R_a_b[..., 0], R_a_b[..., 1], R_a_b[..., 2]
-    c, s = np.cos(theta_a), np.sin(theta_a)
+    c, s = np.cos(R_a_b[..., 2]), np.sin(R_a_b[..., 2])
     x, y = R_b_c[..., 0], R_b_c[..., 1]
     # A single pose before many needs no broadcasting worked out, which costs as much as the rest.
     single = R_a_b.ndim == 1
     out = np.empty(R_b_c.shape if single else np.broadcast_shapes(R_a_b.shape, R_b_c.shape))
-    out[..., 0] = x_a + c * x - s * y
-    out[..., 1] = y_a + s * x + c * y
-    out[..., 2] = wrap(theta_a + R_b_c[..., 2])
+    out[..., 0] = R_a_b[..., 0] + c * x - s * y
+    out[..., 1] = R_a_b[..., 1] + s * x + c * y
+    out[..., 2] = wrap(R_a_b[..., 2] + R_b_c[..., 2])
     return out
 
 

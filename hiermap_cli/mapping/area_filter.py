@@ -9,7 +9,6 @@ import numpy as np
 
 from hiermap_cli.estimation.constraint import constrain
 from hiermap_cli.estimation.noise import LEAST_ROWS, Surprise, surprise
-from hiermap_cli.geometry import se2
 from hiermap_cli.geometry.points import planar
 from hiermap_cli.mapping.area_map import (
     ANCHOR,
@@ -63,14 +62,15 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     nis, degrees, told, innovation = 0.0, 0, None, None
     along = np.zeros((0, 2))
     if constraint is not None and sighting is not None:
-        V, nis = constrain(
+        V, made = constrain(
             area.V, constraint, lambda V: sighting.innovations(Laser.of(V)), config.update
         )
-        degrees = len(constraint.innovation)
+        nis, degrees = made.nis, len(constraint.innovation)
         S = constraint.gain.S
         innovation = Innovation(constraint.innovation, S.diagonal().copy(), S.diagonal(1).copy())
         if degrees >= LEAST_ROWS:
-            told = _surprise(area.V, V, nis, degrees)
+            shrunk = area.V.covariance[:3, :3] - V.covariance[:3, :3]
+            told = surprise(nis, degrees, made.delta[:3], shrunk)
         area = AreaMap(V, area.features, area.next_uid, area.glimpsed)
         along = _along(V, view, matches)
         area = _seen(area, matches, along, key)
@@ -83,14 +83,6 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     if fresh:
         area = _new_ends(area, fresh, key, config.filter)
     return Step(area, matches, found.offered, nis, degrees, told, innovation)
-
-
-def _surprise(before: StochasticMap, after: StochasticMap, nis: float, rows: int) -> Surprise:
-    delta_r = se2.log(se2.compose(after.robot, se2.invert(before.robot)))
-    if before.coordinates == "additive":
-        delta_r = after.robot - before.robot
-        delta_r[2] = se2.wrap_one(float(delta_r[2]))
-    return surprise(nis, rows, delta_r, before.covariance[:3, :3] - after.covariance[:3, :3])
 
 
 def _seen(area: AreaMap, matches: Matches, x: Array, key: int) -> AreaMap:

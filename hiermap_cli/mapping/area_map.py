@@ -104,13 +104,13 @@ def add_walls(area: AreaMap, view: SegmentView, segments: Index, key: int) -> Ar
     along = c[:, None] * from_centre[..., 0] + s[:, None] * from_centre[..., 1]
     new = Features(
         uid=area.next_uid + np.arange(k),
-        kind=np.full(k, WALL),
-        wall=np.full(k, -1),
+        kind=np.array([WALL] * k),
+        wall=np.array([-1] * k),
         side=np.zeros(k, dtype=np.int64),
         lo=along[:, 0],
         hi=along[:, 1],
-        seen=np.ones(k, dtype=np.int64),
-        last=np.full(k, key),
+        seen=np.array([1] * k),
+        last=np.array([key] * k),
     )
     return AreaMap(V, joined(area.features, new), area.next_uid + k, area.glimpsed)
 
@@ -150,13 +150,13 @@ def add_ends(
     V = augment(V, X, V.error_columns(walls), A, noise)
     new = Features(
         uid=area.next_uid + np.arange(k),
-        kind=np.full(k, END),
+        kind=np.array([END] * k),
         wall=area.features.uid[walls],
         side=sides,
         lo=np.zeros(k),
         hi=np.zeros(k),
-        seen=np.ones(k, dtype=np.int64),
-        last=np.full(k, key),
+        seen=np.array([1] * k),
+        last=np.array([key] * k),
     )
     return AreaMap(V, joined(area.features, new), area.next_uid + k, area.glimpsed)
 

@@ -121,12 +121,13 @@ def associate(
     if not len(pairs.at):
         return nothing
     near[pairs.segment] = True
-    tried = _tried(pairs, view)
-    best = tried.at.take(_first(tried.segment))
+    pairs = _longest(pairs, view)
+    best = pairs.at.take(_first(pairs.segment))
     found = _with_ends(told, sighting, offers, best, config)
     z = found.constraint.gain.whiten(found.constraint.innovation)[: 2 * len(best)]
     if float(z @ z) > chi_square(config.gate, 2 * len(best)):
-        best = tried.at.take(_jointly_compatible(told, tried, config))
+        few = _best_few(pairs)
+        best = few.at.take(_jointly_compatible(told, few, config))
         found = _with_ends(told, sighting, offers, best, config)
     return Association(found.matches, found.sighting, found.constraint, near, offered, found.known)
 
@@ -194,19 +195,21 @@ def _gated(told: Prediction, reached: Reached, config: AssociationConfig) -> Pai
     return Pairs(reached.segment.take(order), order, cost.take(order))
 
 
-def _tried(pairs: Pairs, view: SegmentView) -> Pairs:
-    """The best few candidates of the longest segments."""
-    first = _first(pairs.segment)
-    if len(first) == len(pairs.segment) <= MAX_SEGMENTS:
+def _longest(pairs: Pairs, view: SegmentView) -> Pairs:
+    """The pairs of the longest segments, where there are more than can be tried together."""
+    segments = pairs.segment.take(_first(pairs.segment))
+    if len(segments) <= MAX_SEGMENTS:
         return pairs
+    order = np.argsort(-view.length.take(segments), kind="stable")
+    return pairs.select(np.isin(pairs.segment, segments[order[:MAX_SEGMENTS]]).nonzero()[0])
+
+
+def _best_few(pairs: Pairs) -> Pairs:
+    """The best few candidates of every segment."""
+    first = _first(pairs.segment)
     counts = np.diff(np.append(first, len(pairs.segment)))
     rank = np.arange(len(pairs.segment)) - np.repeat(first, counts)
-    keep = rank < MAX_CANDIDATES
-    if len(first) > MAX_SEGMENTS:
-        longest = pairs.segment.take(first)
-        order = np.argsort(-view.length.take(longest), kind="stable")
-        keep &= np.isin(pairs.segment, longest[order[:MAX_SEGMENTS]])
-    return pairs.select(keep.nonzero()[0])
+    return pairs.select((rank < MAX_CANDIDATES).nonzero()[0])
 
 
 def _first(segment: Index) -> Index:
