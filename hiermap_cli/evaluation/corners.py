@@ -180,17 +180,24 @@ def _seen(
     seen = np.zeros(len(corners.points), dtype=bool)
     for c, (point, sides) in enumerate(zip(corners.points, corners.sides, strict=True)):
         targets = np.concatenate((point[None], sides))
-        near = views[np.argsort(((views[:, :2] - point) ** 2).sum(axis=1), kind="stable")]
-        # What hides a corner from afar stands about it as a rule: few lines are left for the rest.
+        apart = (views[:, 0] - point[0]) ** 2 + (views[:, 1] - point[1]) ** 2
+        near = views[np.argpartition(apart, min(2, len(views) - 1))] if len(views) else views
+        # What hides a corner stands about it as a rule: few lines are left for the rest, and none
+        # that begin there too.
         about = obstacles[((low <= point + _ABOUT) & (high >= point - _ABOUT)).all(axis=1)]
-        begin, size = 0, 8
+        begin, size = 0, 2
         while begin < len(near) and not seen[c]:
             batch = near[begin : begin + size]
             batch = batch[in_view(batch, targets, view).all(axis=1)]
-            for blockers in (about, obstacles):
+            for target in targets:
+                batch = batch[is_clear(batch[:, :2], target, about)]
+            afar = (np.abs(batch[:, :2] - point) > _ABOUT - _ALONG).any(axis=1)
+            if len(batch) and afar.all():
                 for target in targets:
-                    batch = batch[is_clear(batch[:, :2], target, blockers)]
+                    batch = batch[is_clear(batch[:, :2], target, obstacles)]
             seen[c] = len(batch) > 0
+            if begin == 0 and not seen[c]:
+                near = views[np.argsort(apart, kind="stable")]
             begin, size = begin + size, 4 * size
     return seen
 

@@ -90,17 +90,17 @@ def landmark_points(model: HierarchicalModel, chosen: Iterable[LandmarkModel]) -
     """
     frames = dict(model.environment.areas)
     poses = {(area.id, l): estimate for area in model.areas for l, estimate in area.landmarks}
-    ids, points, covariances = [], [], []
-    for landmark in chosen:
-        R_g_a, R_a_l = frames[landmark.area], poses[landmark.area, landmark.id]
-        J1 = compose_D_first(R_g_a.mean, R_a_l.mean)[:2]
-        J2 = compose_D_second(R_g_a.mean, R_a_l.mean)[:2]
-        ids.append(landmark.id)
-        points.append(compose(R_g_a.mean, R_a_l.mean)[:2])
-        covariances.append(J1 @ R_g_a.covariance @ J1.T + J2 @ R_a_l.covariance @ J2.T)
-    return PlacedPoints(
-        tuple(ids), np.array(points).reshape(-1, 2), np.array(covariances).reshape(-1, 2, 2)
-    )
+    listed = list(chosen)
+    if not listed:
+        return PlacedPoints((), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    R_g_a = [frames[landmark.area] for landmark in listed]
+    R_a_l = [poses[landmark.area, landmark.id] for landmark in listed]
+    first, second = (np.array([one.mean for one in part]) for part in (R_g_a, R_a_l))
+    C_g_a, C_a_l = (np.array([one.covariance for one in part]) for part in (R_g_a, R_a_l))
+    J1, J2 = compose_D_first(first, second)[:, :2], compose_D_second(first, second)[:, :2]
+    C = J1 @ C_g_a @ J1.transpose(0, 2, 1) + J2 @ C_a_l @ J2.transpose(0, 2, 1)
+    ids = tuple(landmark.id for landmark in listed)
+    return PlacedPoints(ids, compose(first, second)[:, :2], C)
 
 
 def place(model: HierarchicalModel, R_t_g: Array) -> PlacedModel:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from hiermap_cli.evaluation.consistency import Nees
 
 _RIGHT = (0.8, 1.25)
+_MOST = 100.0  # a larger factor is no measurement any more
 _ENOUGH = 3  # values of a group before it is called the worst
 
 
@@ -111,12 +112,16 @@ def verdict(errors: Sequence[Check], innovations: Sequence[Check], parts: Sequen
         return f"consistent: the covariances cover the errors ({names}){against}"
     worst = _worst(parts, over=lead.state == "overconfident")
     if lead.state == "overconfident":
-        what = f"overconfident by a factor of {lead.factor:.1f}"
+        what = f"overconfident by a factor of {_times(lead.factor)}"
         means = "errors are that many times as large as the deviations say"
     else:
-        what = f"too cautious by a factor of {1.0 / max(lead.factor, 1e-6):.1f}"
+        what = f"too cautious by a factor of {_times(1.0 / max(lead.factor, 1e-9))}"
         means = "deviations are that many times as large as the errors"
     return f"{what}: {means} ({lead.name} {lead.value:.2f}; {inside}){worst}{against}"
+
+
+def _times(factor: float) -> str:
+    return f"{factor:.1f}" if factor <= _MOST else f"more than {_MOST:g}"
 
 
 def _worst(parts: Sequence[Check], *, over: bool) -> str:
