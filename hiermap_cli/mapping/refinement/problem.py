@@ -270,8 +270,15 @@ def uncalibrated(step: Array, told: Array, parameters: Array) -> Array:
     half of it.
     """
     a, b, c = parameters[:3]
+    turn = step[:, 2]
     dx, dy = step[:, 0] / (1.0 + a), step[:, 1] / (1.0 + a)
-    dtheta = (step[:, 2] - c * dx) / (1.0 + b)
+    chord_x, chord_y = dx, dy
+    dtheta = turn
+    for _ in range(4):  # the chord is turned by half of what calibration adds to the turn
+        dtheta = (turn - c * dx) / (1.0 + b)
+        half = 0.5 * (turn - dtheta)
+        cos_h, sin_h = np.cos(half), np.sin(half)
+        dx, dy = cos_h * chord_x + sin_h * chord_y, cos_h * chord_y - sin_h * chord_x
     short = np.hypot(dx, dy) < 0.5 * np.hypot(told[:, 0], told[:, 1])
     dx, dy = np.where(short, 0.5 * told[:, 0], dx), np.where(short, 0.5 * told[:, 1], dy)
     little = np.abs(dtheta) < 0.5 * np.abs(told[:, 2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -78,7 +79,7 @@ def structure(where: Layout, terms: Sequence[Terms]) -> Structure:
         seen = np.concatenate([i[r == k].ravel() for r, i in rows] or [poses])
         seen = seen[seen >= where.parameters]
         index.append(np.unique(np.concatenate((poses, parameters, seen))))
-    groups = [np.arange(3 * (a + 1), 3 * b) for a, b in zip(first[:-1], first[1:], strict=True)]
+    groups = [np.arange(3 * (a + 1), 3 * b) for a, b in itertools.pairwise(first)]
     groups += [np.arange(3 * a, 3 * a + 3) for a in first[:-1]]
     landmarks = np.arange(where.parameters + PARAMETERS, where.size)
     pair = landmark_first[landmarks] * (stretches + 1) + landmark_last[landmarks]
