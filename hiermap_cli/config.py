@@ -309,6 +309,12 @@ class LoopConfig(Section):
     witness_gate: Positive = Field(
         4.5, description="chi-square, 3 degrees, of a cycle that only other loops are witness of"
     )
+    witness_spread: Positive = Field(
+        10.0, description="metres between loops that agree on what is unlikely"
+    )
+    witness_crossing: Positive = Field(
+        0.12, lt=1, description="share of beams that cross walls, of such a loop and its witnesses"
+    )
     agree_gate: Positive = Field(11.3, description="chi-square of loops that ask for the same")
     agree: Positive = Field(0.15, description="metres between a loop and the filter, as witnesses")
     agree_angle: Positive = Field(0.05, description="radians, likewise")
