@@ -25,6 +25,7 @@ from hiermap_cli.mapping.loop_graph import (
     ways,
 )
 from hiermap_cli.mapping.loop_matching import Candidates, match, ragged
+from hiermap_cli.mapping.loop_sight import crossing_share, sights_of
 
 LOOPS = Config().loops
 
@@ -38,7 +39,7 @@ def drive():
 def parts(drive):
     steps = steps_of(drive.keyscans, drive.poses, Config(), NoiseScale())
     fragments = fragments_of(drive.keyscans, drive.poses, steps.broken, LOOPS)
-    return steps, fragments, chain(fragments, drive.poses, steps, Config())
+    return steps, fragments, chain(fragments, drive.poses, steps, Config(), NoiseScale())
 
 
 # --- fragments ---
@@ -117,7 +118,7 @@ def test_walls_that_both_see_hold_a_fragment_but_not_along_a_blank_corridor(part
     blank = drive_of(blank_corridor())
     steps = steps_of(blank.keyscans, blank.poses, Config(), NoiseScale())
     fragments = fragments_of(blank.keyscans, blank.poses, steps.broken, LOOPS)
-    C = chain(fragments, blank.poses, steps, Config()).C_i_j[0]
+    C = chain(fragments, blank.poses, steps, Config(), NoiseScale()).C_i_j[0]
     assert C[0, 0] > 4.0 * C[1, 1]
 
 
@@ -143,6 +144,27 @@ def test_frames_that_move_take_their_key_scans_along_without_a_jump(drive, parts
     assert size[:first].max() < 1e-9
     assert size[first:last].max() < 0.3 * 0.5
     assert size[last:].max() < 1e-9
+
+
+# --- what was seen through ---
+
+
+def test_no_fragment_has_seen_through_its_own_walls(parts):
+    _, fragments, _ = parts
+    sights = sights_of(fragments, LOOPS)
+    k = np.arange(len(fragments.centre))
+    share = crossing_share(fragments, sights, k, k, np.zeros((len(k), 3)), LOOPS)
+    assert share.max() < 0.03
+
+
+def test_a_fragment_half_a_room_off_has_seen_through_walls(parts):
+    _, fragments, _ = parts
+    sights = sights_of(fragments, LOOPS)
+    k = np.arange(len(fragments.centre))
+    for off in ((2.0, 0.0, 0.0), (0.0, -1.5, 0.3)):
+        there = np.tile(np.array(off), (len(k), 1))
+        share = crossing_share(fragments, sights, k, k, there, LOOPS)
+        assert np.median(share) > 0.2
 
 
 # --- the graph ---
@@ -305,32 +327,38 @@ def verdict_of(loops, net, **found):
     n = len(loops.i)
     overlap = np.full(n, 10.0) if "overlap" not in found else np.array(found["overlap"])
     second = np.zeros(n) if "second" not in found else np.array(found["second"])
-    return judge(loops, overlap, second, net, LOOPS)
+    crossing = np.zeros(n) if "crossing" not in found else np.array(found["crossing"])
+    return judge(loops, overlap, second, crossing, net, LOOPS)
+
+
+def believed(verdict):
+    none = np.zeros(len(verdict.sure), dtype=bool)
+    return verdict.believed(none, none, LOOPS)
 
 
 def test_no_loop_is_closed_on_one_witness(long_way):
     one = loops_of(long_way, [(2, 57)], (0.5, 0.3, 0.0), TIGHT)
-    assert not verdict_of(one, long_way).believed.any()
+    assert not believed(verdict_of(one, long_way)).any()
 
 
 def test_a_second_witness_closes_both(long_way):
     two = loops_of(long_way, [(2, 57), (3, 56)], (0.5, 0.3, 0.0), TIGHT)
     verdict = verdict_of(two, long_way)
-    assert verdict.believed.all()
+    assert believed(verdict).all()
     assert verdict.witnesses.tolist() == [1, 1]
     assert verdict.support.tolist() == [20.0, 20.0]
 
 
 def test_a_loop_of_the_same_fragment_is_no_second_witness(long_way):
     two = loops_of(long_way, [(2, 57), (2, 56)], (0.5, 0.3, 0.0), TIGHT)
-    assert not verdict_of(two, long_way).believed.any()
+    assert not believed(verdict_of(two, long_way)).any()
 
 
 def test_witnesses_that_ask_for_something_else_are_none(long_way):
     a = loops_of(long_way, [(2, 57)], (0.5, 0.3, 0.0), TIGHT)
     b = loops_of(long_way, [(3, 56)], (-1.5, 0.3, 0.0), TIGHT)
     verdict = verdict_of(joined((a, b)), long_way)
-    assert not verdict.believed.any()
+    assert not believed(verdict).any()
     assert verdict.rival.tolist() == [10.0, 10.0]
 
 
@@ -338,23 +366,60 @@ def test_two_corrections_with_as_much_to_say_wait_both(long_way):
     a = loops_of(long_way, [(2, 57), (3, 56)], (0.5, 0.3, 0.0), TIGHT)
     b = loops_of(long_way, [(2, 56), (3, 57)], (-1.5, 0.3, 0.0), TIGHT)
     both = joined((a, b))
-    assert not verdict_of(both, long_way).believed.any()
+    assert not believed(verdict_of(both, long_way)).any()
     verdict = verdict_of(both, long_way, overlap=[20.0, 20.0, 5.0, 5.0])
-    assert verdict.believed.tolist() == [True, True, False, False]
+    assert believed(verdict).tolist() == [True, True, False, False]
 
 
 def test_a_loop_with_a_second_place_about_as_good_waits(long_way):
     two = loops_of(long_way, [(2, 57), (3, 56)], (0.5, 0.3, 0.0), TIGHT)
     verdict = verdict_of(two, long_way, second=[0.9, 0.1])
-    assert verdict.believed.tolist() == [False, True]
+    assert believed(verdict).tolist() == [False, True]
 
 
 def test_loops_that_agree_on_something_unlikely_wait(long_way):
     sigma = np.sqrt(long_way.relative(np.array([2]), np.array([57]))[0, 0, 0])
     two = loops_of(long_way, [(2, 57), (3, 56)], (2.6 * sigma, 0.0, 0.0), TIGHT)
-    assert not verdict_of(two, long_way).believed.any()
+    assert not believed(verdict_of(two, long_way)).any()
 
 
 def test_a_way_known_well_is_a_witness_itself(long_way):
     one = loops_of(long_way, [(28, 31)], (0.05, 0.0, 0.0), TIGHT)
-    assert verdict_of(one, long_way).believed.all()
+    assert believed(verdict_of(one, long_way)).all()
+
+
+def test_who_has_seen_through_walls_is_no_witness(long_way):
+    two = loops_of(long_way, [(2, 57), (3, 56)], (0.5, 0.3, 0.0), TIGHT)
+    verdict = verdict_of(two, long_way, crossing=[0.0, 0.15])
+    assert verdict.witnesses.tolist() == [0, 0]
+    assert not believed(verdict).any()
+
+
+def test_what_is_unlikely_is_believed_last_and_only_of_loops_far_apart(long_way):
+    sigma = np.sqrt(long_way.relative(np.array([2]), np.array([57]))[0, 0, 0])
+    shift = (2.6 * sigma, 0.0, 0.0)
+    unlikely = loops_of(long_way, [(2, 57), (5, 54)], shift, TIGHT)
+    verdict = verdict_of(unlikely, long_way)
+    assert not (verdict.sure | verdict.borne).any()
+    assert believed(verdict).all()
+    # While there is anything likelier left it waits.
+    likely = loops_of(long_way, [(20, 39), (21, 38)], (0.1, 0.0, 0.0), TIGHT)
+    verdict = verdict_of(joined((unlikely, likely)), long_way)
+    assert believed(verdict).tolist() == [False, False, True, True]
+
+
+def test_the_surest_loops_are_closed_first(long_way):
+    far = loops_of(long_way, [(2, 57), (3, 56)], (0.3, 0.1, 0.0), TIGHT)
+    near = loops_of(long_way, [(24, 35), (25, 34)], (0.1, 0.0, 0.0), TIGHT)
+    verdict = verdict_of(joined((far, near)), long_way)
+    assert verdict.borne[:2].all()
+    assert believed(verdict).tolist() == [False, False, True, True]
+    closed = np.array([False, False, True, True])
+    assert verdict.believed(closed, np.zeros(4, dtype=bool), LOOPS).all()
+
+
+def test_what_was_refused_is_not_believed_again(long_way):
+    two = loops_of(long_way, [(2, 57), (3, 56)], (0.5, 0.3, 0.0), TIGHT)
+    verdict = verdict_of(two, long_way)
+    refused = np.array([True, True])
+    assert not verdict.believed(~refused, refused, LOOPS).any()

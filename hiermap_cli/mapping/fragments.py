@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     Mask = NDArray[np.bool_]
 
 LEAST_KEYS = 4  # key scans between broken steps that cut the path
+GLANCE = 4.0  # metres along a wall that are seen well, for each metre off it
 MAX_ROUNDS = 60  # lines of a fragment: what is still left then is clutter
 
 
@@ -54,7 +55,8 @@ class Fragments(NamedTuple):
     first: (F + 1,) the first key scan of each. centre: (F,) the key scan whose pose is the
     fragment's frame. of_key: (K,). R_f_k: (K, 3) the key scans in the frames of their fragments.
     points: (S, 2, 2) the ends of all segments, likewise, and scan: (S,) the segments' key scans.
-    walls: what was seen.
+    walls: what was seen. solid: as much of it as was not seen at a glance only, at which an open
+    door looks like a wall.
     """
 
     first: Index
@@ -64,6 +66,7 @@ class Fragments(NamedTuple):
     points: Array
     scan: Index
     walls: Walls
+    solid: Walls
 
 
 def cut_path(poses: Array, broken: Mask, config: LoopConfig) -> Index:
@@ -102,17 +105,42 @@ def fragments_of(keyscans: KeyScans, poses: Array, broken: Mask, config: LoopCon
     points = pose[:, None, :2] + np.einsum("nij,nkj->nki", turn, s.ends)
     middle = pose[:, :2] + np.einsum("nij,nj->ni", turn, s.centre)
     theta = se2.wrap(pose[:, 2] + s.theta)
-    walls = _merged(of_key[s.scan], s.scan, middle, theta, points, s.length, n, config)
-    return Fragments(first, centre, of_key, R_f_k, points, s.scan, walls)
+    where = of_key[s.scan]
+    line_of, lines = _lines(where, middle, theta, points, s.length, config)
+    used = np.flatnonzero(line_of >= 0)
+    line = line_of[used]
+    t = lines[line, 2]
+    u = np.column_stack((np.cos(t), np.sin(t)))
+    along = np.sort((points[used] * u[:, None]).sum(axis=-1), axis=1)
+    # How far off the line the robot was, and where along it.
+    off = pose[used, :2] - lines[line, :2]
+    depth = GLANCE * np.abs(u[:, 0] * off[:, 1] - u[:, 1] * off[:, 0])
+    abreast = (pose[used, :2] * u).sum(axis=1)
+    near = np.clip(along, (abreast - depth)[:, None], (abreast + depth)[:, None])
+    walls, solid = (
+        _runs(_Pieces(where[used], s.scan[used], line, *part.T), lines, n, config)
+        for part in (along, near)
+    )
+    return Fragments(first, centre, of_key, R_f_k, points, s.scan, walls, solid)
 
 
-def _merged(
-    fragment: Index, scan: Index, centre: Array, theta: Array, points: Array, length: Array,
-    count: int, config: LoopConfig,
-) -> Walls:  # fmt: skip
-    """Segments merged into walls: the longest one left leads, those on its line follow.
+class _Pieces(NamedTuple):
+    """Pieces of lines that were seen, (n,) each: fragment, scan, line, and from where to where."""
+
+    fragment: Index
+    scan: Index
+    line: Index
+    lo: Array
+    hi: Array
+
+
+def _lines(
+    fragment: Index, centre: Array, theta: Array, points: Array, length: Array, config: LoopConfig
+) -> tuple[Index, Array]:
+    """Segments on common lines: the longest one left leads, those on its line follow.
 
     All fragments take one line a round, so that the rounds are as many as a fragment has lines.
+    Returns the line (S,) of each segment, -1 for none, and the lines' [x, y, theta] (n, 3).
     """
     left = np.flatnonzero(length >= config.min_segment)
     left = left[np.lexsort((left, -length[left], fragment[left]))]
@@ -135,9 +163,7 @@ def _merged(
         lines.append(np.column_stack((c, t)))
         known += len(head)
         left = left[~on]
-    table = np.concatenate(lines) if lines else np.zeros((0, 3))
-    used = np.flatnonzero(line_of >= 0)
-    return _runs(fragment, scan, points, line_of, used, table, count, config)
+    return line_of, np.concatenate(lines) if lines else np.zeros((0, 3))
 
 
 def _on_line(c: Array, t: Array, theta: Array, points: Array, config: LoopConfig) -> Mask:
@@ -174,22 +200,15 @@ def _refit(
     return moved, se2.wrap(t + np.arctan(slope))
 
 
-def _runs(
-    fragment: Index, scan: Index, points: Array, line_of: Index, used: Index,
-    lines: Array, count: int, config: LoopConfig,
-) -> Walls:  # fmt: skip
+def _runs(pieces: _Pieces, lines: Array, count: int, config: LoopConfig) -> Walls:
     """The lines cut where nothing was seen of them: a door is no wall."""
-    t = lines[line_of[used], 2]
-    u = np.column_stack((np.cos(t), np.sin(t)))
-    along = (points[used] * u[:, None]).sum(axis=-1)
-    lo, hi = along.min(axis=1), along.max(axis=1)
-    order = np.lexsort((used, lo, line_of[used]))
-    used, lo, hi = used[order], lo[order], hi[order]
-    line = line_of[used]
+    order = np.lexsort((pieces.lo, pieces.line))
+    fragment, scan, line = pieces.fragment[order], pieces.scan[order], pieces.line[order]
+    lo, hi = pieces.lo[order], pieces.hi[order]
     # The farthest end so far on the same line: lines are set far apart from each other.
     apart = 1e4 * line
     farthest = np.maximum.accumulate(hi + apart) - apart
-    new = np.ones(len(used), dtype=bool)
+    new = np.ones(len(line), dtype=bool)
     new[1:] = (line[1:] != line[:-1]) | (lo[1:] > farthest[:-1] + config.merge_gap)
     head = np.flatnonzero(new)
     wall = np.cumsum(new) - 1
@@ -201,16 +220,16 @@ def _runs(
             np.zeros(count + 1, dtype=np.int64),
         )  # fmt: skip
     low, high = lo[head], np.maximum.reduceat(hi, head)
-    pairs = np.unique(np.column_stack((wall, scan[used])), axis=0)
+    pairs = np.unique(np.column_stack((wall, scan)), axis=0)
     seen = np.bincount(pairs[:, 0], minlength=n)
-    whose = fragment[used[head]]
+    whose = fragment[head]
     t = lines[line[head], 2]
     normal = np.column_stack((-np.sin(t), np.cos(t)))
     offset = (lines[line[head], :2] * normal).sum(axis=1)
     extent = high - low
     # Seen once and short is what walks about, or clutter.
-    keep = (extent >= config.min_wall) & ((seen >= 2) | (extent >= config.min_once))
-    keep = np.flatnonzero(keep)
+    once = (seen < 2) & (extent < config.min_once)
+    keep = np.flatnonzero((extent >= config.min_wall) & ~once)
     keep = keep[np.lexsort((keep, -extent[keep], whose[keep]))]
     return Walls(
         whose[keep], t[keep], normal[keep], offset[keep], low[keep], high[keep], extent[keep],

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Mask = NDArray[np.bool_]
 
+LEAST_UNEVEN = 0.04  # of the factor on the variance of the walls' unevenness
+
 
 class Steps(NamedTuple):
     """The K steps that led to the key scans.
@@ -73,7 +75,9 @@ def step_noise(keyscans: KeyScans, config: Config, noise: NoiseScale) -> Array:
     return np.asarray(noise.odometry * Q)
 
 
-def chain(fragments: Fragments, poses: Array, steps: Steps, config: Config) -> Edges:
+def chain(
+    fragments: Fragments, poses: Array, steps: Steps, config: Config, noise: NoiseScale
+) -> Edges:
     """The F - 1 steps from fragment to fragment, as the filter's poses (K, 3) have them.
 
     Args:
@@ -82,6 +86,8 @@ def chain(fragments: Fragments, poses: Array, steps: Steps, config: Config) -> E
         steps: that led to them. Over a broken one the walls are a poor witness: the filter lies
             where they fit, be it the right place or not.
         config: the inflation, design section 8.3.
+        noise: what is added for each fragment is for walls that are none, so that it is as large
+            as the walls of this log are uneven.
     """
     c = config.loops
     frames = poses[fragments.centre]
@@ -95,7 +101,8 @@ def chain(fragments: Fragments, poses: Array, steps: Steps, config: Config) -> E
         pairs = correspondences(fragments.walls, asked, c)
         seen = evidence(fragments.walls, pairs, n - 1, i, R, c).information
         C = np.asarray(np.linalg.inv(np.linalg.inv(C) + seen), dtype=float)
-    sound = np.square([c.chain_floor, c.chain_floor, c.chain_floor_angle])
+    uneven = max(noise.walls, LEAST_UNEVEN)
+    sound = uneven * np.square([c.chain_floor, c.chain_floor, c.chain_floor_angle])
     broken = np.square([c.broken_floor, c.broken_floor, c.broken_floor_angle])
     floor = np.where(broken_between(fragments, steps)[:, None], broken, sound)
     # The floor is of where the next fragment lies, not of this one's origin.

@@ -27,27 +27,54 @@ if TYPE_CHECKING:
     Mask = NDArray[np.bool_]
 
 
+FIRST, NEXT = 3.0, 2.0  # how much less sure a loop may be than the surest, to be closed with it
+
+
 class Verdict(NamedTuple):
     """Of E loops, (E,) each.
 
-    believed: by the way there, or by witnesses. witnesses: other loops that ask for the same,
-    none of which shares a fragment with it. support: metres of overlap that speak for its
-    correction. rival: of the correction nearest to it in support that contradicts it.
+    sure: the way there is a witness. borne: other loops are. witnesses: other loops that ask for
+    the same, none of which shares a fragment with it. wide: borne by loops over so wide a stretch
+    that it may be unlikely. support: metres of overlap that speak for its correction. rival: of
+    the correction nearest to it in support that contradicts it. sigma: metres, of the way there.
     """
 
-    believed: Mask
+    sure: Mask
+    borne: Mask
+    wide: Mask
     witnesses: Index
     support: Array
     rival: Array
+    sigma: Array
+
+    def believed(self, closed: Mask, refused: Mask, config: LoopConfig) -> Mask:
+        """Which loops are closed next, the `closed` (E,) ones with them: the surest first.
+
+        Those that did not hold against the others are `refused` (E,).
+
+        A way over loops is shorter than the path, and tells better where else the robot may have
+        been. So the loops that other loops bear are closed in the order of what was known of the
+        place before; those that are unlikely (the odometry has lied and nobody noticed) when
+        nothing else is left.
+        """
+        now = (self.sure | (self.borne & (self.sigma < FIRST * config.sure_sigma))) & ~refused
+        for borne in (self.borne & ~refused, self.wide & ~refused):
+            left = borne & ~closed
+            if left.any() and not (now & ~closed).any():
+                now |= borne & (self.sigma < NEXT * self.sigma[left].min())
+        return now | (closed & (self.sure | self.borne | self.wide))
 
 
-def judge(loops: Edges, overlap: Array, second: Array, ways: Ways, config: LoopConfig) -> Verdict:
+def judge(
+    loops: Edges, overlap: Array, second: Array, crossing: Array, ways: Ways, config: LoopConfig
+) -> Verdict:
     """Judges E loops by the way there and by each other.
 
     Args:
         loops: what they say.
         overlap: (E,) metres of wall on wall.
         second: (E,) the best other place, of this one.
+        crossing: (E,) share of beams through walls.
         ways: how well the fragments know of each other without them.
         config: thresholds.
     """
@@ -62,7 +89,8 @@ def judge(loops: Edges, overlap: Array, second: Array, ways: Ways, config: LoopC
     against = distance > config.gate
     n = len(loops.i)
     support = overlap + _sum(agree, e, overlap[f], n) + _sum(agree, f, overlap[e], n)
-    apart = agree & (loops.i[e] != loops.i[f]) & (loops.j[e] != loops.j[f])
+    clean = crossing < config.witness_crossing
+    apart = agree & clean[e] & clean[f] & (loops.i[e] != loops.i[f]) & (loops.j[e] != loops.j[f])
     witnesses = np.bincount(e[apart], minlength=n) + np.bincount(f[apart], minlength=n)
     rival = np.zeros(n)
     np.maximum.at(rival, e[against], support[f[against]])
@@ -78,9 +106,28 @@ def judge(loops: Edges, overlap: Array, second: Array, ways: Ways, config: LoopC
     )
     # A place that looks alike lies anywhere in the gate, the same place near its middle.
     likely = ways.chi2(loops) < config.witness_gate
-    believed = (near | ((witnesses > 0) & likely)) & (second < config.second)
-    believed &= rival < config.second * support
-    return Verdict(believed, witnesses, support, rival)
+    spread = np.zeros(n)
+    for x in (e[apart], f[apart]):
+        np.maximum.at(spread, x, _spread(loops, ways, e[apart], f[apart]))
+    clear = (second < config.second) & (rival < config.second * support)
+    sigma = np.sqrt(position_variance(known, loops.R_i_j))
+    borne = (witnesses > 0) & clean & clear
+    return Verdict(
+        sure=near & clear,
+        borne=borne & likely,
+        wide=borne & (spread > config.witness_spread),
+        witnesses=witnesses,
+        support=support,
+        rival=rival,
+        sigma=sigma,
+    )
+
+
+def _spread(loops: Edges, ways: Ways, e: Index, f: Index) -> Array:
+    """How far loops e and f lie apart, at the end where they are nearer: metres, (n,)."""
+    at = ways.frames[:, :2]
+    apart = [np.hypot(*(at[end[e]] - at[end[f]]).T) for end in (loops.i, loops.j)]
+    return np.asarray(np.minimum(apart[0], apart[1]), dtype=float)
 
 
 def _comparable(loops: Edges, ways: Ways, config: LoopConfig) -> tuple[Index, Index]:

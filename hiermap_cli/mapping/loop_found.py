@@ -8,7 +8,7 @@ import numpy as np
 
 from hiermap_cli.mapping.loop_evidence import Evidence
 from hiermap_cli.mapping.loop_graph import Edges, joined, moved, no_edges
-from hiermap_cli.mapping.loop_sight import Beams, crossing_share
+from hiermap_cli.mapping.loop_sight import Sights, crossing_share
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,7 +46,7 @@ class Found(NamedTuple):
 
 
 def believable(
-    fragments: Fragments, beams: Beams, matches: Matches, asked: Candidates, config: LoopConfig
+    fragments: Fragments, sights: Sights, matches: Matches, asked: Candidates, config: LoopConfig
 ) -> Found:
     """The matches of candidates whose own figures speak for them.
 
@@ -64,7 +64,7 @@ def believable(
     at = np.column_stack((R[:, :2], np.zeros(len(R))))
     C = config.loop_inflation * C + moved(np.diag(floor), at)
     i, j = asked.i[matches.candidate], asked.j[matches.candidate]
-    crossing = crossing_share(fragments, beams, i, j, R, config)
+    crossing = crossing_share(fragments, sights, i, j, R, config)
     found = Found(Edges(i, j, R, C), matches.evidence, matches.second, matches.chi2, crossing)
     return found.rows(crossing < config.max_crossing)
 

@@ -19,7 +19,7 @@ from hiermap_cli.mapping.loop_choice import Verdict, judge
 from hiermap_cli.mapping.loop_found import Found, believable, merged, nothing_found
 from hiermap_cli.mapping.loop_graph import Edges, chi2, joined, solved, ways
 from hiermap_cli.mapping.loop_matching import match
-from hiermap_cli.mapping.loop_sight import beams_of
+from hiermap_cli.mapping.loop_sight import sights_of
 from hiermap_cli.mapping.model import Event
 
 if TYPE_CHECKING:
@@ -89,12 +89,12 @@ def close_loops(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseSc
     c = config.loops
     steps = steps_of(keyscans, poses, config, noise)
     fragments = fragments_of(keyscans, poses, steps.broken, c)
-    beams = beams_of(fragments)
-    path = chain(fragments, poses, steps, config)
+    sights = sights_of(fragments, c)
+    path = chain(fragments, poses, steps, config, noise)
     broken = broken_between(fragments, steps)
     frames = poses[fragments.centre]
     found, asked = nothing_found(), nothing_asked()
-    closed = np.zeros(0, dtype=bool)
+    closed, refused = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
     verdict: Verdict | None = None
     for _ in range(c.rounds):
         known = found.edges.rows(closed)
@@ -103,27 +103,30 @@ def close_loops(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseSc
         asked = asked.joined(anew)
         # What is not asked for again still stands as it was found.
         kept = closed | ~among(found.edges, anew, len(frames))
-        seen = believable(fragments, beams, match(fragments, anew, c), anew, c)
-        closed = np.concatenate((closed[kept], np.zeros(len(seen.chi2), dtype=bool)))
+        seen = believable(fragments, sights, match(fragments, anew, c), anew, c)
         found = merged(found.rows(kept), seen)
-        verdict = judge(found.edges, found.evidence.overlap, found.second, net, c)
-        before = int(closed.sum())
-        frames, closed = _settled(frames, path, found, verdict, c)
-        if int(closed.sum()) <= before:
+        new = np.zeros(len(seen.chi2), dtype=bool)
+        before = np.concatenate((closed[kept], new))
+        refused = np.concatenate((refused[kept], new))
+        verdict = judge(found.edges, found.evidence.overlap, found.second, found.crossing, net, c)
+        believed = verdict.believed(before, refused, c)
+        frames, closed = _settled(frames, path, found, believed, c)
+        refused |= believed & ~closed
+        if not (believed & ~before).any():
             break
     assert verdict is not None
     if not closed.any():
-        return LoopResult(poses, *_told(keyscans, fragments, found, verdict, closed))
+        return LoopResult(poses, *_told(keyscans, fragments, found, verdict, closed, refused))
     moved = carried(fragments, poses, frames, steps.covariance)
-    edges, events = _told(keyscans, fragments, found, verdict, closed)
+    edges, events = _told(keyscans, fragments, found, verdict, closed, refused)
     return LoopResult(moved, edges, events)
 
 
 def _settled(
-    frames: Array, path: Edges, found: Found, verdict: Verdict, config: LoopConfig
+    frames: Array, path: Edges, found: Found, believed: Mask, config: LoopConfig
 ) -> tuple[Array, Mask]:
     """The frames with the loops believed, and which of them hold against all others."""
-    closed = verdict.believed.copy()
+    closed = believed.copy()
     for _ in range(2):
         loops = found.edges.rows(closed)
         both = joined((path, loops))
@@ -138,7 +141,7 @@ def _settled(
 
 def _told(
     keyscans: KeyScans, fragments: Fragments, found: Found, verdict: Verdict,
-    closed: Mask,
+    closed: Mask, refused: Mask,
 ) -> tuple[tuple[Loop, ...], tuple[Event, ...]]:  # fmt: skip
     """The loops closed, and an event for each one found."""
     loops: list[Loop] = []
@@ -156,7 +159,7 @@ def _told(
             kind = "loop_closed"
             loops.append(Loop(a, b, found.edges.R_i_j[k], found.edges.C_i_j[k], figures))
         else:
-            kind = "loop_refused" if verdict.believed[k] else "loop_held_back"
+            kind = "loop_refused" if refused[k] else "loop_held_back"
         details: dict[str, Any] = {"to": int(keyscans.stamps_ns[a]) * 1e-9, **figures._asdict()}
         events.append(Event(int(keyscans.stamps_ns[b]), kind, details))
     return tuple(loops), tuple(events)
