@@ -118,10 +118,10 @@ class OdometryFaultConfig(Section):
 class LostConfig(Section):
     """When the robot is not where it is believed to be, and how it is found anywhere."""
 
-    scans: int = Field(3, ge=1, description="key scans in a row that fit nothing")
+    scans: int = Field(4, ge=1, description="key scans in a row that fit nothing")
     behind: Positive = Field(0.5, description="metres behind a wall that a beam cannot reach")
     seen_through: Positive = Field(
-        0.2, le=1, description="of the beams; more go through walls where the robot is not"
+        0.25, le=1, description="of the beams; more go through walls where the robot is not"
     )
     through: Positive = Field(
         0.2, le=1, description="of the beams; at most so many go through walls where it is found"

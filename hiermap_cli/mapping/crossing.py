@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.stochastic_map import place_robot, relative_covariance
+from hiermap_cli.estimation.stochastic_map import (
+    initial_map,
+    place_robot,
+    relative_covariance,
+)
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import area_from_here
+from hiermap_cli.mapping.area_map import EMPTY, AreaMap, area_from_here
+from hiermap_cli.mapping.lost import Search
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.passages import (
     KEPT,
@@ -25,6 +30,7 @@ from hiermap_cli.mapping.portals import (
     KnownDoors,
     Portal,
     add_anchor,
+    adrift,
     anchor_index,
     door_frame,
 )
@@ -32,10 +38,11 @@ from hiermap_cli.mapping.recognition import Asked, Recogniser
 from hiermap_cli.mapping.relocation import robot_found
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from hiermap_cli.config import Config
-    from hiermap_cli.mapping.area_map import AreaMap
     from hiermap_cli.mapping.freespace import Region
     from hiermap_cli.mapping.portals import PortalKind
     from hiermap_cli.mapping.recognition import Recognised
@@ -78,6 +85,8 @@ class Crossings:
     _detector: PassageDetector = field(init=False)
     _doors: KnownDoors = field(init=False)
     _recogniser: Recogniser = field(init=False)
+    _search: Search = field(init=False)
+    _apart: frozenset[int] = frozenset()
     _began: bool = True
     _cut: bool = False
 
@@ -86,6 +95,7 @@ class Crossings:
         self._detector = PassageDetector(self.config.doors)
         self._doors = KnownDoors(self.config.doors.hysteresis)
         self._recogniser = Recogniser(self.config)
+        self._search = Search(self.config)
 
     @property
     def area(self) -> AreaMap:
@@ -119,6 +129,38 @@ class Crossings:
             at = Passage(frame, 2.0, self.trace.length, NOWHERE, NOWHERE)
             self._enter_new(now, "size", at)
         return self.current
+
+    @property
+    def lost(self) -> bool:
+        """Whether it is not known where the present area lies."""
+        return bool(self._apart)
+
+    def set_apart(self, key: int, travelled: float) -> int:
+        """A fragment that hangs on nothing: the robot, lost, is certain at its origin.
+
+        It is `key`'s scan that is the fragment's first; what was seen after `travelled` metres of
+        path was not seen from where the robot was believed to be. Returns the new area.
+        """
+        a, c = self.current, self.config.lost
+        self.trace.drop(travelled)
+        self.places.look(a, self.trace, -1.0)
+        left, anchor_a = add_anchor(self.area, key - 1)
+        self.areas[a] = left
+        V, m = left.V, len(left.V.parameters)
+        fresh = initial_map(
+            np.zeros(3), np.zeros((3, 3)), V.parameters, V.covariance[3 : 3 + m, 3 : 3 + m],
+            V.coordinates,
+        )  # fmt: skip
+        new, anchor_b = adrift(AreaMap(fresh, EMPTY), key, c.sigma, c.sigma_angle)
+        self.areas.append(new)
+        b = len(self.areas) - 1
+        self.portals.append(Portal(a, anchor_a, b, anchor_b, "lost", np.zeros(3), 0.0, 0.0, 0.0))
+        self.trace.drop(-1.0)
+        self._go(b, V.robot)
+        self._detector.clear(self.trace.length)
+        self._search.forget()
+        self._began = True
+        return b
 
     def finish(self) -> None:
         """The end of the log: what was seen last belongs to the area where the robot is."""
@@ -205,6 +247,10 @@ class Crossings:
         """An area known before, if the robot has come back into it unawares."""
         if not self._recogniser.due(self.trace.length):
             return None
+        if self._apart:
+            others = [(h, area) for h, area in enumerate(self.areas) if h not in self._apart]
+            self._recogniser.asked(self.trace.length)
+            return self._search.ask(self.area, now.key, self.trace, others)
         mine = self._same_as(self.current)
         at_home = self._on_known_ground()
         # An area that was cut for its size goes on ahead of the cut.
@@ -233,12 +279,16 @@ class Crossings:
 
     def _same_as(self, area: int) -> set[int]:
         """Areas that are one place with this one."""
+        return self._reached(area, ("same",))
+
+    def _reached(self, area: int, kinds: Sequence[PortalKind]) -> set[int]:
+        """Areas that portals of these kinds join to this one."""
         found, grown = {area}, True
         while grown:
             more = {
                 there
                 for p in self.portals
-                if p.kind == "same"
+                if p.kind in kinds
                 for here, there in ((p.a, p.b), (p.b, p.a))
                 if here in found
             }
@@ -255,6 +305,11 @@ class Crossings:
         here, there = self.current, known.area
         region = self.places.region(there, self.areas[there], self.portals)
         young = self._all_along_in(region, known.R_h_c)
+        if self._apart and self._began:
+            # It has gone through no door since it was lost, if it was mostly where that area is.
+            poses = [se2.compose(known.R_h_c, pose) for pose in self.trace.poses]
+            inside = [region.contains(pose[:2]) for pose in poses]
+            young = 2 * sum(inside) > len(inside)
         self.places.look(here, self.trace, -1.0)
         left, anchor_a = add_anchor(self.area, now.key)
         self.areas[here] = left
@@ -270,9 +325,15 @@ class Crossings:
         found = replace(found, parameters=V.parameters, covariance=P)
         self.areas[there], anchor_b = add_anchor(replace(other, V=found), now.key)
         kind: PortalKind = "same" if young else "open"
-        self.portals.append(
-            Portal(here, anchor_a, there, anchor_b, kind, np.zeros(3), 0.0, 0.0, 0.0)
-        )
+        link = Portal(here, anchor_a, there, anchor_b, kind, np.zeros(3), 0.0, 0.0, 0.0)
+        lost = [i for i, p in enumerate(self.portals) if p.kind == "lost" and p.b in self._apart]
+        if lost:
+            # It is known now where the fragment lies: not where it was lost.
+            self.portals[lost[0]] = replace(
+                link, a=there, anchor_a=anchor_b, b=here, anchor_b=anchor_a
+            )
+        else:
+            self.portals.append(link)
         since = int(np.searchsorted(self.trace.travelled, self.trace.entered))
         self._go(there, V.robot)
         self._doors.replay(self.trace.poses[since:])
@@ -296,6 +357,8 @@ class Crossings:
         self._detector.forget_before(self.trace.length)
         self._doors.set(area, self.areas, self.portals)
         self._recogniser.set(area, self.areas, self.portals, self.trace.length)
+        joined = self._reached(area, ("door", "open", "same", "size"))
+        self._apart = frozenset() if 0 in joined else frozenset(joined)
         self.trace.entered = self.trace.length
         self._began = self._cut = False
 

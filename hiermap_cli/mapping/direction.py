@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.matching import MAX_SEGMENTS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -93,7 +94,8 @@ class Branch(NamedTuple):
     def path(self) -> float:
         """Metres since the turning point."""
         first = self.told[0].drive
-        there = first.increments[first.leg.slowest]
+        at = first.leg.slowest
+        there = first.increments[at] if at >= 0 else np.zeros(3)
         length = math.dist(there[:2], first.increments[-1, :2])
         for one in self.told[1:]:
             length += math.hypot(*one.drive.increments[-1, :2].tolist())
@@ -114,7 +116,8 @@ class DirectionWatch:
     _last: tuple[int, float, float] = (0, 0.0, 0.0)
     _stamps: list[int] = field(default_factory=list)
     _raw: list[Array] = field(default_factory=list)
-    _slowest: tuple[float, int] = (math.inf, 0)
+    _slowest: tuple[float, int] = (math.inf, 0)  # m/s, negative where the sign has changed
+    _ahead: float = 0.0
     _window: list[Told] = field(default_factory=list)
     _branches: list[Branch] = field(default_factory=list)
     _suspected: bool = False
@@ -124,14 +127,18 @@ class DirectionWatch:
 
     def come(self, stamp_ns: int, odometry: Array) -> Array:
         """The next scan's odometry: the increment (3,) since the last key scan, as believed."""
-        x, y, _ = odometry.tolist()
+        x, y, theta = odometry.tolist()
         if self._base is None:
             self._base, self._last = odometry, (stamp_ns, x, y)
         last_ns, last_x, last_y = self._last
         seconds = max(stamp_ns - last_ns, 1) * 1e-9
         speed = math.hypot(x - last_x, y - last_y) / seconds
+        ahead = (x - last_x) * math.cos(theta) + (y - last_y) * math.sin(theta)
         if speed < self._slowest[0]:
             self._slowest = speed, len(self._raw)
+        if ahead * self._ahead < 0.0 and self._slowest[0] >= 0.0:
+            self._slowest = -1.0, len(self._raw) - 1
+        self._ahead = ahead
         self._last, self._at = (stamp_ns, x, y), odometry
         self._stamps.append(stamp_ns)
         raw = se2.between(self._base, odometry)
@@ -252,7 +259,7 @@ class DirectionWatch:
         told[0] = told[0]._replace(cost=told[0].cost + before)
         for one in self._window[i + 1 :]:
             told.append(self._filtered(one, told[-1], reversed_(one.drive.increments)))
-        return Branch(first.drive.leg.stamps_ns[at], tuple(told))
+        return Branch(first.drive.leg.stamps_ns[max(at, 0)], tuple(told))
 
     def _filtered(self, one: Told, last: Told | None, increments: Array) -> Told:
         """A drive of the window with other increments, after `last` of a branch (or as it was)."""
@@ -265,7 +272,8 @@ class DirectionWatch:
     def _suspicious(self, step: Step) -> bool:
         """Whether the walls fit ill enough for a fault to be looked for."""
         c = self.stepper.config.odometry_faults
-        ill = step.offered and len(step.matches.wall) < c.poor_share * step.offered
+        offered = min(step.offered, MAX_SEGMENTS)
+        ill = offered and len(step.matches.wall) < c.poor_share * offered
         return bool(ill or (step.degrees and step.nis > c.poor_nis * step.degrees))
 
 
@@ -290,9 +298,10 @@ def reversed_(increments: Array) -> Array:
 def turned_from(increments: Array, first: int) -> Array:
     """Increments (n, 3) since one place, whose steps go the other way after the first ones."""
     out = increments.copy()
+    if first < 0:
+        return reversed_(out)
     if first + 1 < len(out):
         there = increments[first]
-        out[first + 1 :] = se2.compose(
-            there, reversed_(se2.between(there, increments[first + 1 :]))
-        )
+        after = se2.between(there, increments[first + 1 :])
+        out[first + 1 :] = se2.compose(there, reversed_(after))
     return out

@@ -109,14 +109,27 @@ def _joint(M: Array, P: Array) -> Array:
 
 
 def _tree(areas: int, links: Sequence[Link]) -> tuple[list[Link], list[Link]]:
+    """The links that place an area, each from an area placed before it, and all others.
+
+    Links are taken in their order, but one that has no end in an area placed so far waits until
+    it has: a fragment may be joined by an area that was discovered from it.
+    """
     placed = {0}
-    tree, loops = [], []
-    for link in links:
-        if link.b not in placed and link.a in placed:
-            placed.add(link.b)
-            tree.append(link)
-        else:
-            loops.append(link)
+    tree, loops, left = [], [], list(links)
+    while left:
+        waiting = []
+        for link in left:
+            if link.a not in placed and link.b not in placed:
+                waiting.append(link)
+            elif link.a in placed and link.b in placed:
+                loops.append(link)
+            else:
+                back = Link(link.b, link.anchor_b, link.a, link.anchor_a)
+                tree.append(link if link.a in placed else back)
+                placed.add(tree[-1].b)
+        if len(waiting) == len(left):
+            break
+        left = waiting
     if len(placed) != areas:
         raise AssertionError("an area that no crossing joins to the others")
     return tree, loops

@@ -112,6 +112,14 @@ class KeyScanRecord:
             self._segments.drop(len(walls))
             self._segments.extend(table)
 
+    def rewind(self, keys: int) -> None:
+        """Without the last key scans."""
+        first = len(self) - keys
+        self._segments.drop(sum(self._count[first:]))
+        self._increments.drop(keys)
+        for kept in (self._stamps, self._area, self._trusted, self._count):
+            del kept[first:]
+
     def __len__(self) -> int:
         return len(self._stamps)
 

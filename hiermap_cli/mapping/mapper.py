@@ -20,6 +20,7 @@ from hiermap_cli.mapping.crossing import Crossings, Passing
 from hiermap_cli.mapping.driving import Driving
 from hiermap_cli.mapping.innovations import InnovationLog
 from hiermap_cli.mapping.keyscans import KeyScanRecord
+from hiermap_cli.mapping.lost import moved, through_walls
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.stepping import Stepper, matched_walls
 from hiermap_cli.mapping.stretches import Stretches
@@ -69,6 +70,19 @@ class Scan(NamedTuple):
     ranges: Array
 
 
+class Astray(NamedTuple):
+    """A key scan that fits nothing where the robot is believed to be.
+
+    area: the number of the area. travelled: metres of path before it. counts: those before it.
+    """
+
+    now: Scan
+    drive: Drive
+    area: int
+    travelled: float
+    counts: Counts
+
+
 @dataclass(slots=True)
 class Mapper:
     """Runs the filters over scans in the order of time. One for each log."""
@@ -88,6 +102,8 @@ class Mapper:
     stepper: Stepper = field(init=False)
     driving: Driving = field(init=False)
     _begun: bool = False
+    _astray: list[Astray] = field(default_factory=list)
+    _counted: Counts = field(default_factory=Counts)
 
     def __post_init__(self) -> None:
         self.crossings = Crossings(self.config, self.areas, self.events)
@@ -120,13 +136,24 @@ class Mapper:
             self.trail.between(now.stamp_ns, increment)
             return
         drive = self.driving.drive(self.area, self.current, increment, self.trail, missing=missing)
-        self._set(replace(drive.before, V=predict(drive.before.V, drive.motion)))
-        step, came = self._observe(now, drive)
+        self._key(now, drive, missing=missing)
+        if len(self._astray) >= self.config.lost.scans:
+            self._set_apart()
+
+    def _key(
+        self, now: Scan, drive: Drive, *, missing: bool = False, at_origin: bool = False
+    ) -> None:
+        """Use a scan; at_origin: it is a fragment's first, which the drive has not led into."""
+        if not at_origin:
+            self._set(replace(drive.before, V=predict(drive.before.V, drive.motion)))
+        step, came = self._observe(now, None if at_origin else drive)
         drive = came or drive
         if missing:
             self.driving.missed(self.current, drive, self.area)
         self._record(now, drive.increments[-1], step, trusted=drive.trusted)
-        self.trail.key(now.stamp_ns, self.current, self.area.V, drive.motion)
+        V, motion = self.area.V, None if at_origin else drive.motion
+        self.trail.key(now.stamp_ns, self.current, V, motion)
+        self._strays(now, drive, step)
         distance = math.hypot(*drive.increments[-1, :2].tolist())
         area = self.crossings.step(
             Passing(now.stamp_ns, self.key - 1, distance, now.sight, now.view)
@@ -135,6 +162,52 @@ class Mapper:
             self.current = area
             self.driving.direction.forget()
             self.trail.enter(area, self.area.V)
+            if not self.crossings.lost:
+                self.driving.stretches.end("lost", now.stamp_ns)
+
+    def _strays(self, now: Scan, drive: Drive, step: Step) -> None:
+        """Count key scans in a row that fit no wall known before them, and look through walls."""
+        if self._astray and self._astray[0].area != self.current:
+            self._astray = []
+        before = self._astray[0].drive.before if self._astray else drive.before
+        astray = self.stepper.is_poor(before, now.view, step, known=before.next_uid)
+        if astray:
+            R = self.area.V.robot
+            origin, ends = moved(R, now.sight.origin[None]), moved(R, now.sight.ends)
+            astray = (
+                through_walls(before, origin, ends, self.config) > self.config.lost.seen_through
+            )
+        if astray:
+            travelled = self.crossings.trace.length
+            self._astray.append(Astray(now, drive, self.current, travelled, self._counted))
+        else:
+            self._astray = []
+        self._counted = replace(self.counts)
+
+    def _set_apart(self) -> None:
+        """The robot is lost: take back what it was taken to have seen, and map it by itself."""
+        astray, self._astray = self._astray, []
+        first, n = astray[0], len(astray)
+        self._set(first.drive.before)
+        self.trail.rewind(n, self.current, first.drive.before.V)
+        if self.config.refine.enabled:
+            self.keyscans.rewind(n)
+        self.key -= n
+        self.counts = first.counts
+        self._wait(first.drive)
+        self.trail.finish(self._motion)
+        self.driving.stretches.begin(
+            "lost", first.drive.leg.stamps_ns[0], astray[-1].now.stamp_ns, area=self._name()
+        )
+        self.current = self.crossings.set_apart(self.key, first.travelled)
+        self.trail.enter(self.current, self.area.V)
+        self.driving.direction.forget()
+        self._key(first.now, first.drive._replace(before=self.area, trusted=False), at_origin=True)
+        for one in astray[1:]:
+            increment = one.drive.increments[-1]
+            motion = self.stepper.motion(self.area, increment, trusted=one.drive.trusted)
+            self._wait(one.drive)
+            self._key(one.now, one.drive._replace(before=self.area, motion=motion))
 
     def _record(self, now: Scan, increment: Array, step: Step, *, trusted: bool = True) -> None:
         """Keep a key scan for the refinement, if there will be one."""
@@ -199,8 +272,8 @@ class Mapper:
         elif suspect or stepper.is_poor(self.area, view, step):
             again = stepper.found_again(self.area, view, step, self.key, suspect=suspect)
             if again is not None:
-                moved = se2.between(step.area.V.robot, again.area.V.robot)
-                self._event(stamp_ns, "relocated", area=self._name(), moved=moved.tolist())
+                R = se2.between(step.area.V.robot, again.area.V.robot)
+                self._event(stamp_ns, "relocated", area=self._name(), moved=R.tolist())
                 step = again
         else:
             if step.surprise is not None:
@@ -224,6 +297,11 @@ class Mapper:
             self._set(area)
         return step, drive
 
+    def _wait(self, drive: Drive) -> None:
+        """The scans of a drive before its key scan, which wait for that."""
+        for stamp_ns, increment in zip(drive.leg.stamps_ns[:-1], drive.increments, strict=False):
+            self.trail.between(stamp_ns, increment)
+
     def _turned_about(self, other: Branch) -> tuple[Step, Drive]:
         """Believe the other hypothesis of the direction of motion, from where it began up to now.
 
@@ -232,12 +310,10 @@ class Mapper:
         *earlier, last = other.told
         self.trail.rewind(len(earlier), self.current, other.told[0].drive.before.V)
         for one in other.told:
-            leg = one.drive.leg
-            for stamp, increment in zip(leg.stamps_ns[:-1], one.drive.increments, strict=False):
-                self.trail.between(stamp, increment)
+            self._wait(one.drive)
             if one is not last:
                 V = one.step.area.V
-                self.trail.key(leg.stamps_ns[-1], self.current, V, one.drive.motion)
+                self.trail.key(one.drive.leg.stamps_ns[-1], self.current, V, one.drive.motion)
         if earlier and self.config.refine.enabled:
             increments = np.array([one.drive.increments[-1] for one in earlier])
             walls = np.concatenate([matched_walls(one.view, one.step) for one in earlier])

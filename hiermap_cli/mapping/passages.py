@@ -147,6 +147,15 @@ class Trace:
             kept[:] = [R_b_a[:2] + points @ turn for points in kept]
         self.near.move(R_b_a)
 
+    def drop(self, after: float) -> None:
+        """Without the scans taken after that many metres of path."""
+        keep = bisect_right(self.travelled, after)
+        self.fresh = max(self.fresh - (len(self.poses) - keep), 0)
+        for kept in (
+            self.travelled, self.turned, self.poses, self.origins, self.ends, self.near,
+        ):  # fmt: skip
+            del kept[keep:]
+
     def rays(self, start: float) -> tuple[Array, Array]:
         """Origins and ends (n, 2) of all beams since `start` metres of path."""
         first = int(np.searchsorted(self.travelled, start))
@@ -169,6 +178,11 @@ class PassageDetector:
     def forget_before(self, travelled: float) -> None:
         """Nothing that was passed before is told any more."""
         self._last = travelled
+
+    def clear(self, travelled: float) -> None:
+        """As if the path began there."""
+        self.at, self.width, self.jambs, self.heading = [], [], [], []
+        self._next, self._last = travelled + SAMPLE, travelled
 
     def move(self, R_b_a: Array) -> None:
         """Into the frame of another area; see `Trace.move`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 # A door or opening that people see; a way between areas that no door explains; a place of one
-# area that was begun anew before it was known again; a cut for size.
-PortalKind = Literal["door", "open", "same", "size"]
+# area that was begun anew before it was known again; a cut for size; no way at all, but that the
+# robot was lost in the one and began the other.
+PortalKind = Literal["door", "open", "same", "size", "lost"]
 
 ASIDE = 0.35  # metres beside the jambs that the robot's path through a door may seem to be
 
@@ -59,6 +60,17 @@ def add_anchor(area: AreaMap, key: int) -> tuple[AreaMap, int]:
         lo=np.zeros(1), hi=np.zeros(1), seen=one, last=one * key,
     )  # fmt: skip
     return AreaMap(V, joined(area.features, new), area.next_uid + 1), area.next_uid
+
+
+def adrift(area: AreaMap, key: int, sigma: float, sigma_angle: float) -> tuple[AreaMap, int]:
+    """As `add_anchor`, for a place that may lie anywhere about the robot, by these deviations."""
+    area, uid = add_anchor(area, key)
+    V, where = area.V, area.V.columns(area.V.objects)
+    spread = np.diag(np.square([sigma, sigma, sigma_angle]))
+    Ad = V.error_D_tangent(V.robot)
+    P = V.covariance.copy()
+    P[where, where] += Ad @ spread @ Ad.T
+    return replace(area, V=replace(V, covariance=P)), uid
 
 
 def anchor_index(area: AreaMap, uid: int) -> int:

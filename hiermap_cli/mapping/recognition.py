@@ -150,6 +150,10 @@ class Recogniser:
         """Whether there is reason to ask again: some path since the last time."""
         return travelled - self._asked >= self.config.areas.ask_every
 
+    def asked(self, travelled: float) -> None:
+        """Something was asked now."""
+        self._asked = travelled
+
     def candidates(self, robot: Array) -> list[tuple[int, Array]]:
         """Areas whose place here is known well enough, with the robot's pose (3,) there."""
         if not self._areas:

@@ -79,14 +79,20 @@ class Stepper:
                 return again
         return None
 
-    def is_poor(self, area: AreaMap, view: SegmentView, step: Step) -> bool:
-        """Whether so little of a scan matched that the prediction is in doubt."""
-        return (
-            len(view.length) >= 3
-            and len(area.features.uid) > 3
-            and matched_length(view, step)
-            < self.config.relocation.poor_match * float(view.length.sum())
-        )
+    def is_poor(
+        self, area: AreaMap, view: SegmentView, step: Step, known: int | None = None
+    ) -> bool:
+        """Whether so little of a scan matched that the prediction is in doubt.
+
+        Of walls with a uid below `known`, if given: those begun since prove nothing.
+        """
+        if len(view.length) < 3 or len(area.features.uid) <= 3:
+            return False
+        matched = view.length[step.matches.segment]
+        if known is not None:
+            matched = matched[step.area.features.uid[step.matches.wall] < known]
+        least = self.config.relocation.poor_match * float(view.length.sum())
+        return float(matched.sum()) < least
 
     def misfit(self, step: Step) -> float:
         """How badly a scan fits the walls: NIS, and the gate for each segment without a wall."""

@@ -106,7 +106,7 @@ def _with_bends(increments: Array, seconds: Array, journey: Journey, spec: Odome
 
 
 def _with_faults(increments: Array, seconds: Array, spec: OdometrySpec) -> Array:
-    """Increments (n, 3) between `seconds` (n + 1,), those that end in a stretch of faults spoilt."""
+    """Increments (n, 3) between `seconds` (n + 1,), spoilt where they end in a faulty stretch."""
     for fault in spec.faults:
         inside = (seconds[1:] > fault.begin) & (seconds[1:] <= fault.end)
         if inside.any():

@@ -1,0 +1,188 @@
+"""A robot that is not where it is believed to be: noticed, and found again anywhere.
+
+Carried elsewhere, or after a slip farther than is searched, the scans fit nothing about the
+believed place, and what is more they look through walls that are known to stand there; ground
+that is merely new shows neither. After some such scans in a row the robot is *lost*. What was
+taken in since then is taken back, the map is as it was before, and a new area begins that hangs
+on nothing: a fragment. Its walls are laid on those of all other areas, wherever that may be, and
+when one place is found twice, with some path in between and well ahead of every other place, the
+fragment is joined there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.recognition import Recognised, lately_seen, walls_explained
+from hiermap_cli.mapping.relocation import area_lines, explained_length
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import Config
+    from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.mapping.passages import Trace
+    from hiermap_cli.mapping.relocation import Lines
+    from hiermap_cli.perception.views import SegmentView
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+MAX_WALLS, SCORED = 10, 100  # walls that hypotheses are made of; hypotheses that are scored
+CELL, CELL_ANGLE = 0.25, 0.1  # metres and radians within which hypotheses are one
+
+
+def through_walls(area: AreaMap, origins: Array, ends: Array, config: Config) -> float:
+    """The share of beams from `origins` (n, 2) or (2,) to `ends` (n, 2) that go through walls."""
+    lines = area_lines(area, config.relocation.least_seen)
+    if not len(lines.theta) or not len(ends):
+        return 0.0
+    normal, deep = lines.normal, config.lost.behind
+    origins = np.broadcast_to(origins, ends.shape)
+    before, after = origins @ normal.T - lines.offset, ends @ normal.T - lines.offset
+    passes = (before * after < 0.0) & (np.abs(after) > deep) & (np.abs(before) > 1e-6)
+    direction = np.column_stack((normal[:, 1], -normal[:, 0]))
+    share = before / np.where(passes, before - after, 1.0)
+    along = (1.0 - share) * (origins @ direction.T) + share * (ends @ direction.T)
+    passes &= (along > lines.lo) & (along < lines.hi)
+    return float(np.count_nonzero(passes.any(axis=1)) / len(ends))
+
+
+@dataclass(slots=True)
+class Search:
+    """Lays what was mapped lately on the walls of all areas, wherever they are."""
+
+    config: Config
+    _before: tuple[float, Recognised] | None = None
+
+    def forget(self) -> None:
+        """The robot is found, or lost anew."""
+        self._before = None
+
+    def ask(
+        self, here: AreaMap, key: int, trace: Trace, others: Sequence[tuple[int, AreaMap]]
+    ) -> Recognised | None:
+        """The area, and place in it, that is found for the second time, if one is."""
+        c = self.config
+        view, middle = lately_seen(here, key, c.areas)
+        if len(view.length) < c.areas.least_walls:
+            return None
+        found = self._best(view, others)
+        if found is None:
+            self._before = None
+            return None
+        number, pose, explained = found
+        R_h_c = se2.compose(pose, se2.invert(np.array([*middle, 0.0])))
+        area = dict(others)[number]
+        walls = walls_explained(area, view, pose, c)
+        if walls < c.areas.least_walls or self._looks_through(area, R_h_c, trace):
+            self._before = None
+            return None
+        total = float(view.length.sum())
+        return self._second(Recognised(number, R_h_c, explained, total, walls), here, trace)
+
+    def _second(self, found: Recognised, here: AreaMap, trace: Trace) -> Recognised | None:
+        """The answer, if it is the same as the one before, with path enough in between."""
+        c, robot = self.config.areas, here.V.robot
+        if self._before is not None and self._before[1].area == found.area:
+            travelled, before = self._before
+            off = se2.between(se2.compose(before.R_h_c, robot), se2.compose(found.R_h_c, robot))
+            if np.hypot(off[0], off[1]) < 2.0 * c.agree and abs(off[2]) < 2.0 * c.agree_angle:
+                return found if trace.length - travelled >= c.agree_path_old else None
+        self._before = (trace.length, found)
+        return None
+
+    def _looks_through(self, area: AreaMap, R_h_c: Array, trace: Trace) -> bool:
+        """Whether the last scans would have looked through the walls of that place."""
+        if not trace.ends:
+            return False
+        shares = [
+            through_walls(area, moved(R_h_c, origin[None]), moved(R_h_c, ends), self.config)
+            for origin, ends in zip(trace.origins[-20:], trace.ends[-20:], strict=True)
+        ]
+        return float(np.mean(shares)) > self.config.lost.through
+
+    def _best(
+        self, view: SegmentView, others: Sequence[tuple[int, AreaMap]]
+    ) -> tuple[int, Array, float] | None:
+        """Area, pose (3,) of the view in it, and metres explained, if that is well ahead."""
+        c = self.config
+        number: list[int] = []
+        poses, score = [np.zeros((0, 3))], [np.zeros(0)]
+        for h, area in others:
+            lines = area_lines(area, c.relocation.least_seen)
+            tried = constellations(lines, view)
+            if len(tried):
+                number += [h] * len(tried)
+                poses.append(tried)
+                score.append(explained_length(lines, view, tried, c.relocation))
+        area_of, all_poses = np.array(number, dtype=np.int64), np.concatenate(poses)
+        explained = np.concatenate(score)
+        if not len(explained):
+            return None
+        best = int(np.argmax(explained))
+        pose = all_poses[best]
+        apart = area_of != area_of[best]
+        apart |= np.hypot(*(all_poses[:, :2] - pose[:2]).T) > 2.0 * CELL
+        apart |= np.abs(se2.wrap(all_poses[:, 2] - pose[2])) > 2.0 * CELL_ANGLE
+        second = float(explained[apart].max()) if apart.any() else 0.0
+        enough = max(c.lost.min_explained, c.lost.min_share * float(view.length.sum()))
+        if explained[best] < enough or second > c.lost.second * explained[best]:
+            return None
+        return int(area_of[best]), pose, float(explained[best])
+
+
+def constellations(lines: Lines, view: SegmentView) -> Array:
+    """Poses (h, 3) that lay two walls of the view, which are not parallel, on two of the lines.
+
+    One pose a cell, those that most metres of wall ask for.
+    """
+    longest = np.argsort(-view.length, kind="stable")[:MAX_WALLS]
+    s, w = (a.ravel() for a in np.meshgrid(longest, np.arange(len(lines.theta)), indexing="ij"))
+    fits = view.length[s] < 1.3 * (lines.hi - lines.lo)[w] + 0.3
+    s, w = s[fits], w[fits]
+    theta = se2.wrap(lines.theta[w] - view.theta[s])
+    i, j = np.triu_indices(len(s), 1)
+    normal = lines.normal[w]
+    cross = normal[i, 0] * normal[j, 1] - normal[i, 1] * normal[j, 0]
+    ok = (s[i] != s[j]) & (np.abs(cross) > 0.5)
+    i, j, cross = i[ok], j[ok], cross[ok]
+    step = se2.wrap(theta[j] - theta[i])
+    ok = np.abs(step) < 0.06
+    i, j, cross = i[ok], j[ok], cross[ok]
+    heading = theta[i] + 0.5 * step[ok]
+    c, si = np.cos(heading), np.sin(heading)
+
+    def rest(k: Index) -> Array:
+        """How far the middle of a wall of the view must move to lie on its line."""
+        m = view.centre[s[k]]
+        x, y = c * m[:, 0] - si * m[:, 1], si * m[:, 0] + c * m[:, 1]
+        return np.asarray(lines.offset[w[k]] - normal[k, 0] * x - normal[k, 1] * y)
+
+    a, b = rest(i), rest(j)
+    x = (a * normal[j, 1] - b * normal[i, 1]) / cross
+    y = (normal[i, 0] * b - normal[j, 0] * a) / cross
+    poses = np.column_stack((x, y, se2.wrap(heading)))
+    if not len(poses):
+        return poses
+    votes = np.minimum(view.length[s[i]], view.length[s[j]])
+    cells = np.floor(poses / np.array([CELL, CELL, CELL_ANGLE])).astype(np.int64)
+    _, first, at = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    total = np.bincount(at.ravel(), votes)
+    order = np.lexsort((first, -total))[:SCORED]
+    best = poses[first[order]].copy()
+    for k, cell in enumerate(order.tolist()):
+        best[k, :2] = np.median(poses[at.ravel() == cell, :2], axis=0)
+    return best
+
+
+def moved(R: Array, points: Array) -> Array:
+    """Points (n, 2) seen through R (3,)."""
+    c, s = np.cos(R[2]), np.sin(R[2])
+    return np.asarray(R[:2] + points @ np.array([[c, s], [-s, c]]))
