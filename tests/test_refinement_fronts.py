@@ -26,8 +26,8 @@ def problem(seed: int, groups: int, pieces: int, size: int):
 def dense(pieces, n: int):
     H, g = np.zeros((n, n)), np.zeros(n)
     for piece in pieces:
-        H[np.ix_(piece.index, piece.index)] += piece.H
-        g[piece.index] += piece.g
+        H[np.ix_(piece.columns, piece.columns)] += piece.H
+        g[piece.columns] += piece.g
     return H, g
 
 
@@ -39,18 +39,18 @@ def test_solution_and_marginals_are_those_of_the_dense_matrix(seed, groups, piec
     members, made = problem(seed, groups, pieces, size)
     n = groups * size
     H, g = dense(made, n)
-    order = plan([p.index for p in made], members, [groups - 1] if held else [])
+    order = plan([p.columns for p in made], members, [groups - 1] if held else [])
     factor = factorise(made, order, n)
     C = np.linalg.inv(H)
     scale = np.abs(C).max()
     np.testing.assert_allclose(factor.solve(), C @ g, rtol=1e-6, atol=1e-8 * scale)
-    for S, index in zip(factor.marginals(), order.index, strict=True):
+    for S, index in zip(factor.marginals(), order.columns, strict=True):
         np.testing.assert_allclose(S, C[np.ix_(index, index)], atol=1e-7 * scale)
 
 
 def test_covariance_of_a_linear_function_of_far_variables():
     members, made = problem(3, 10, 14, 3)
-    factor = factorise(made, plan([p.index for p in made], members), 30)
+    factor = factorise(made, plan([p.columns for p in made], members), 30)
     C = np.linalg.inv(dense(made, 30)[0])
     rng = np.random.default_rng(4)
     index = rng.permutation(30)[:9]
@@ -62,7 +62,7 @@ def test_covariance_of_a_linear_function_of_far_variables():
 
 def test_every_variable_is_eliminated_once_and_the_last_group_last():
     members, made = problem(5, 9, 20, 2)
-    order = plan([p.index for p in made], members, [4])
+    order = plan([p.columns for p in made], members, [4])
     np.testing.assert_array_equal(np.sort(np.concatenate(order.own)), np.arange(18))
     assert set(members[4]) <= set(order.own[-1])
     assert order.parent[-1] == -1
@@ -82,4 +82,4 @@ def test_a_chain_stays_sparse():
     n = 400
     pieces = [np.array([k, k + 1]) for k in range(n - 1)]
     order = plan(pieces, [np.array([k]) for k in range(n)])
-    assert max(len(index) for index in order.index) <= 3
+    assert max(len(index) for index in order.columns) <= 3

@@ -84,9 +84,9 @@ def test_jacobians_meet_central_differences(kind, seed):
     terms = terms_of(kind, state, keyscans, noise, matched)
     size, h = layout(state).size, 1e-6
     written = np.zeros((*terms.e.shape, size))
-    for k in range(terms.index.shape[1]):
+    for k in range(terms.columns.shape[1]):
         np.add.at(written, (np.arange(len(terms.e))[:, None],
-                            np.arange(terms.e.shape[1])[None], terms.index[:, k, None]),
+                            np.arange(terms.e.shape[1])[None], terms.columns[:, k, None]),
                   terms.J[:, :, k])  # fmt: skip
     for j in range(size):
         x = np.zeros(size)
@@ -117,7 +117,7 @@ def test_odometry_jacobian_is_exact_where_the_residual_is_zero():
         x[j] = h
         ahead = terms_of("odometry", stepped(state, x), keyscans, noise, matched).e
         back = terms_of("odometry", stepped(state, -x), keyscans, noise, matched).e
-        written = np.where((terms.index == j)[:, None, :], terms.J, 0.0).sum(axis=2)
+        written = np.where((terms.columns == j)[:, None, :], terms.J, 0.0).sum(axis=2)
         np.testing.assert_allclose(written, (ahead - back) / (2.0 * h), atol=1e-7)
 
 

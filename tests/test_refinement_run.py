@@ -54,13 +54,13 @@ def test_the_solution_is_that_of_dense_least_squares():
     )
     H, g = np.zeros((where.size, where.size)), np.zeros(where.size)
     for piece in pieces:
-        H[np.ix_(piece.index, piece.index)] += piece.H
-        g[piece.index] += piece.g
+        H[np.ix_(piece.columns, piece.columns)] += piece.H
+        g[piece.columns] += piece.g
     by_terms = np.zeros_like(H)
     for t in solution.terms:
         for i in range(len(t.e)):
             J = np.zeros((t.e.shape[1], where.size))
-            J[:, t.index[i]] = t.J[i]
+            J[:, t.columns[i]] = t.J[i]
             by_terms += J.T @ t.information[i] @ J
     prior = H - by_terms
     np.testing.assert_allclose(prior, np.diag(np.diag(prior)), atol=1e-9 * np.abs(H).max())

@@ -203,7 +203,7 @@ def solved(frames: Array, edges: Edges, robust: Mask, scale: float) -> Array:
         (3 * low[:, None] + np.arange(3), 3 * high[:, None] + np.arange(3)), axis=1
     )
     first = Piece(np.arange(3), 1e12 * np.eye(3), np.zeros(3))
-    order = plan([*both, first.index], list(np.arange(3 * n).reshape(n, 3)))
+    order = plan([*both, first.columns], list(np.arange(3 * n).reshape(n, 3)))
     W = np.linalg.inv(edges.C_i_j)
     for _ in range(ITERATIONS):
         R = se2.between(frames[edges.i], frames[edges.j])

@@ -27,9 +27,9 @@ ALIKE = 0.15  # of a front's size, by which it may grow so that one more group g
 
 
 class Piece(NamedTuple):
-    """A term of the normal equations `H x = g` over the variables `index` (n,), sorted."""
+    """A term of the normal equations `H x = g` over the variables `columns` (n,), sorted."""
 
-    index: Index
+    columns: Index
     H: Array
     g: Array
 
@@ -51,13 +51,13 @@ class Front(NamedTuple):
 class Plan(NamedTuple):
     """In which order groups are eliminated, and what is joined there.
 
-    own: the variables of each front. index: own and boundary, sorted. pieces: the numbers of the
+    own: the variables of each front. columns: own and boundary, sorted. pieces: the numbers of the
     pieces joined; piece `first + k` is what front k leaves. parent: the front that takes it in,
     -1 for the last.
     """
 
     own: tuple[Index, ...]
-    index: tuple[Index, ...]
+    columns: tuple[Index, ...]
     pieces: tuple[tuple[int, ...], ...]
     parent: tuple[int, ...]
 
@@ -167,20 +167,20 @@ class Factor(NamedTuple):
         return x
 
     def marginals(self) -> list[Array]:
-        """The joint covariance of each front's variables, (n, n) in the order of `plan.index`.
+        """The joint covariance of each front's variables, (n, n) in the order of `plan.columns`.
 
         Given that of its boundary, which is part of its parent's: Takahashi's recursion, by
         blocks.
         """
         found: list[Array] = [np.zeros((0, 0))] * len(self.fronts)
         for k in range(len(self.fronts) - 1, -1, -1):
-            front, index = self.fronts[k], self.plan.index[k]
+            front, index = self.fronts[k], self.plan.columns[k]
             at_own, at_boundary = np.searchsorted(index, front.own), None
             G = front.L_inverse.T @ front.W
             S = np.empty((len(index), len(index)))
             if len(front.boundary):
                 parent = self.plan.parent[k]
-                inside = np.searchsorted(self.plan.index[parent], front.boundary)
+                inside = np.searchsorted(self.plan.columns[parent], front.boundary)
                 P = found[parent][np.ix_(inside, inside)]
                 at_boundary = np.searchsorted(index, front.boundary)
                 GP = G @ P
@@ -239,12 +239,12 @@ def factorise(pieces: Sequence[Piece], order: Plan, variables: int) -> Factor:
     waiting: dict[int, Piece] = dict(enumerate(pieces))
     made = len(pieces)
     fronts = []
-    for own, index, numbers in zip(order.own, order.index, order.pieces, strict=True):
+    for own, index, numbers in zip(order.own, order.columns, order.pieces, strict=True):
         n = len(index)
         F, g = np.zeros((n, n)), np.zeros(n)
         for p in numbers:
             piece = waiting.pop(p)
-            at = np.searchsorted(index, piece.index)
+            at = np.searchsorted(index, piece.columns)
             F[at[:, None], at] += piece.H
             g[at] += piece.g
         at_own = np.searchsorted(index, own)

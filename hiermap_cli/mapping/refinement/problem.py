@@ -77,12 +77,12 @@ class Noise(NamedTuple):
 class Terms(NamedTuple):
     """Residuals of one kind, n of them with r rows over k variables each.
 
-    scan: (n,) key scan to which each belongs. index: (n, k) variables. J: (n, r, k). e: (n, r).
+    scan: (n,) key scan to which each belongs. columns: (n, k) variables. J: (n, r, k). e: (n, r).
     information: (n, r, r), robust weight included. chi2: (n,) without the robust weight.
     """
 
     scan: Index
-    index: Index
+    columns: Index
     J: Array
     e: Array
     information: Array
@@ -257,7 +257,7 @@ def odometry_terms(
     index = np.concatenate(
         (where.pose(i), where.pose(i + 1), np.broadcast_to(parameters, (n, PARAMETERS))), axis=1
     )
-    information = np.linalg.inv(Q)
+    information: Array = np.linalg.inv(Q)
     chi2 = np.einsum("ni,nij,nj->n", e, information, e)
     information *= robust_weight(chi2, gate)[:, None, None]
     return Terms(i, index, J, e, information, chi2)

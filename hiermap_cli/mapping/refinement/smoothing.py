@@ -38,11 +38,11 @@ FIXED = 1e-6  # metres and radians: the first pose is g
 class Structure(NamedTuple):
     """Which variables every stretch has, and in which order they are eliminated.
 
-    first: (R + 1,) key scans that part the stretches. index: the variables of each, sorted.
+    first: (R + 1,) key scans that part the stretches. columns: the variables of each, sorted.
     """
 
     first: Index
-    index: tuple[Index, ...]
+    columns: tuple[Index, ...]
     plan: Plan
 
 
@@ -64,21 +64,21 @@ def structure(where: Layout, terms: Sequence[Terms]) -> Structure:
     first = np.arange(0, where.keys, STRETCH)
     first = np.append(first[: max(1, len(first))], where.keys)
     stretches = len(first) - 1
-    rows = [(stretch_of(t.scan), t.index) for t in terms]
+    rows = [(stretch_of(t.scan), t.columns) for t in terms]
     landmark_first = np.full(where.size, stretches)
     landmark_last = np.full(where.size, -1)
     for r, index in rows:
         every = np.broadcast_to(r[:, None], index.shape)
         np.minimum.at(landmark_first, index, every)
         np.maximum.at(landmark_last, index, every)
-    index = []
+    columns = []
     parameters = where.parameters + np.arange(PARAMETERS)
     for k in range(stretches):
         # The pose that begins the next stretch belongs to both.
         poses = np.arange(3 * first[k], 3 * min(first[k + 1] + 1, where.keys))
         seen = np.concatenate([i[r == k].ravel() for r, i in rows] or [poses])
         seen = seen[seen >= where.parameters]
-        index.append(np.unique(np.concatenate((poses, parameters, seen))))
+        columns.append(np.unique(np.concatenate((poses, parameters, seen))))
     groups = [np.arange(3 * (a + 1), 3 * b) for a, b in itertools.pairwise(first)]
     groups += [np.arange(3 * a, 3 * a + 3) for a in first[:-1]]
     landmarks = np.arange(where.parameters + PARAMETERS, where.size)
@@ -88,7 +88,7 @@ def structure(where: Layout, terms: Sequence[Terms]) -> Structure:
     groups += [g for g in np.split(landmarks[order], cuts) if len(g)]
     groups.append(parameters)
     groups = [g for g in groups if len(g)]
-    return Structure(first, tuple(index), plan(index, groups, [len(groups) - 1]))
+    return Structure(first, tuple(columns), plan(columns, groups, [len(groups) - 1]))
 
 
 def stretch_of(scan: Index) -> Index:
@@ -106,11 +106,11 @@ def assemble(
         H = JW @ t.J
         g = -np.einsum("nks,ns->nk", JW, t.e)
         r = stretch_of(t.scan)
-        bounds = np.searchsorted(r, np.arange(len(frame.index) + 1))
-        contributions.append((t.index, H, g, bounds))
+        bounds = np.searchsorted(r, np.arange(len(frame.columns) + 1))
+        contributions.append((t.columns, H, g, bounds))
     lookup = np.empty(where.size, dtype=np.int64)
     pieces = []
-    for k, index in enumerate(frame.index):
+    for k, index in enumerate(frame.columns):
         n = len(index)
         lookup[index] = np.arange(n)
         H, g = np.zeros(n * n), np.zeros(n)
@@ -123,9 +123,9 @@ def assemble(
         pieces.append(Piece(index, H.reshape(n, n), g))
     information = 1.0 / np.diag(prior_covariance(config.odometry))
     first = pieces[0]
-    at = np.searchsorted(first.index, np.arange(3))
+    at = np.searchsorted(first.columns, np.arange(3))
     first.H[at, at] += 1.0 / FIXED**2
-    at = np.searchsorted(first.index, where.parameters + np.arange(PARAMETERS))
+    at = np.searchsorted(first.columns, where.parameters + np.arange(PARAMETERS))
     first.H[at, at] += information
     first.g[at] -= information * state.parameters
     return pieces

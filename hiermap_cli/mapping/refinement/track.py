@@ -25,7 +25,7 @@ def pose_covariances(solution: Solution) -> Array:
     K = len(solution.state.poses)
     out = np.zeros((K, 3, 3))
     plan = solution.structure.plan
-    for own, index, S in zip(plan.own, plan.index, solution.factor.marginals(), strict=True):
+    for own, index, S in zip(plan.own, plan.columns, solution.factor.marginals(), strict=True):
         first = own[(own < 3 * K) & (own % 3 == 0)]
         at = np.searchsorted(index, first)[:, None] + np.arange(3)
         out[first // 3] = S[at[:, :, None], at[:, None, :]]
