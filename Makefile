@@ -17,10 +17,11 @@ DEMO_LOG = datasets/ring/log.mcap
 DATASETS = ring room_corridor room
 SCHEMAS = model report eval reference summary jobs
 
-.PHONY: help setup demo test test-slow lint format types bench real datasets schemas clean
+.PHONY: help setup demo batch test test-slow lint format types bench real datasets schemas clean
 
 help:
 	@echo "make demo       set up, then build the models of $(DEMO_LOG) into $(OUT)/demo"
+	@echo "make batch      run and evaluate the shipped data sets, with limits, into $(OUT)/batch"
 	@echo "make test       set up, then run the tests"
 	@echo "make test-slow  the tests that take minutes: Monte Carlo, long logs"
 	@echo "make lint       ruff, rules and format;   make format  puts the format right"
@@ -48,6 +49,9 @@ setup: $(VENV)/.development
 demo: $(VENV)/.runtime
 	$(BIN)/hiermap run $(DEMO_LOG) -o $(OUT)/demo --force
 	@echo "the results are in $(OUT)/demo; open $(OUT)/demo/map.svg to look at the map"
+
+batch: $(VENV)/.runtime
+	$(BIN)/hiermap batch datasets/jobs.yaml -o $(OUT)/batch
 
 test: $(VENV)/.development
 	$(BIN)/python -m pytest -m "not slow and not bench"

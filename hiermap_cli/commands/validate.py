@@ -27,7 +27,7 @@ def command(files: tuple[Path, ...], schema: str | None) -> None:
     """Check documents against their schemas and rules.
 
     Each FILE is recognised by its format key (model.json, report.json, eval.json, reference.json,
-    summary.json), by its ending (.tum), by its columns (trajectory_covariance.txt,
+    summary.json, job.json), by its ending (.tum), by its columns (trajectory_covariance.txt,
     relations.txt), or, if it is YAML, by its keys (configuration, floor plan, jobs). A folder
     stands for the documents in it. What holds is said on stdout, each fault on a line of its own
     on stderr.
@@ -101,9 +101,9 @@ def _check_yaml(path: Path) -> str:
 
     keys = top_keys(path)
     if "jobs" in keys:
-        from hiermap_cli.documents.shapes import JobsDocument
+        from hiermap_cli.batch.jobs_file import read_jobs
 
-        read_yaml(path, JobsDocument)
+        read_jobs(path)
         return "jobs"
     if "way_points" in keys or keys.get("areas") is list:
         from hiermap_cli.simulation.spec import WorldSpec

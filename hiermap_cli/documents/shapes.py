@@ -276,6 +276,25 @@ class SummaryDocument(Shape):
     jobs: list[SummaryRow]
 
 
+class JobInput(Shape):
+    """A file that a job's result was made of."""
+
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    state: Any = Field(description="what would show a change: sizes, times, inodes, or a tag")
+    seen_ns: int
+
+
+class JobDocument(Shape):
+    """job.json of a batch: what a result was made of, and its row of the summary."""
+
+    format: Literal["hiermap-job"]
+    version: Version
+    key: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    fixed: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    inputs: dict[str, JobInput]
+    row: dict[str, Any]
+
+
 class JobDefaults(Shape):
     """What holds for every job that says nothing else; paths are relative to the file."""
 

@@ -49,6 +49,7 @@ _JSON = {
     "hiermap-eval": _Known((1, 0), shapes.EvalDocument, eval_faults),
     "hiermap-reference": _Known((1, 0), shapes.ReferenceDocument, _nothing),
     "hiermap-summary": _Known((1, 0), shapes.SummaryDocument, _nothing),
+    "hiermap-job": _Known((1, 0), shapes.JobDocument, _nothing),
 }
 FORMATS = tuple(_JSON)
 
