@@ -257,7 +257,7 @@ def odometry_terms(
     index = np.concatenate(
         (where.pose(i), where.pose(i + 1), np.broadcast_to(parameters, (n, PARAMETERS))), axis=1
     )
-    information: Array = np.linalg.inv(Q)
+    information = np.linalg.inv(Q).astype(np.float64, copy=False)
     chi2 = np.einsum("ni,nij,nj->n", e, information, e)
     information *= robust_weight(chi2, gate)[:, None, None]
     return Terms(i, index, J, e, information, chi2)
