@@ -45,6 +45,17 @@ def test_the_adjoint_moves_a_tangent_to_the_other_side(a, tangent):
 
 
 @given(batches, batches)
+def test_poses_moved_by_tangents_are_composed_with_their_exponentials(a, tangent):
+    tangent[0, 2] = 0.0
+    assert same(se2.moved(a, tangent), se2.compose(se2.exp(tangent), a))
+
+
+@given(poses, batches)
+def test_a_pose_before_many_is_before_each(a, b):
+    assert same(se2.compose(a, b), np.array([se2.compose(a, x) for x in b]))
+
+
+@given(batches, batches)
 def test_a_batch_is_its_single_poses(a, b):
     for many, one in (
         (se2.compose(a, b), [se2.compose(x, y) for x, y in zip(a, b, strict=True)]),

@@ -238,3 +238,26 @@ def test_rows_are_a_list_of_arrays_in_one_block():
     assert np.array_equal(taken, given_)
     with pytest.raises(IndexError):
         rows[6]
+
+
+def test_a_trail_that_is_asked_at_every_scan_is_the_same():
+    """What is worked out for many stretches at one stroke does not depend on which these are."""
+    truth, keys = path(400, seed=3), set(range(0, 400, 3))
+
+    def off(pose):
+        return se2.compose(pose, np.array([0.01, -0.02, 0.005]))
+
+    whole = driven(truth, keys, off, 1e-4 * np.eye(3))
+    asked, last = Trail(), None
+    for i, pose in enumerate(truth):
+        if i not in keys:
+            asked.between(i, se2.between(truth[last], pose))
+            continue
+        moved = None if last is None else carry(se2.between(truth[last], pose))
+        asked.key(i, 0, at(off(pose), 1e-4 * np.eye(3)), moved)
+        assert len(asked.poses) == i + 1
+        last = i
+    asked.finish(carry)
+    assert np.allclose(asked.poses, whole.poses, rtol=0, atol=1e-13)
+    assert np.allclose(asked.covariances, whole.covariances, rtol=0, atol=1e-15)
+    assert np.array_equal(asked.increments, whole.increments)

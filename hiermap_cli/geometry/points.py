@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 
 def planar(points: Array) -> NDArray[np.complex128]:
-    """The first two of the last axis as complex numbers `x + i y`, (...,): a view, not a copy."""
+    """The first two of the last axis as complex numbers `x + i y`, (...,): a view, not a copy.
+
+    Raises ValueError where the last axis is not contiguous in memory.
+    """
     return np.asarray(points[..., :2].view(np.complex128)[..., 0])
 
 

@@ -165,7 +165,7 @@ def moved(R_a_b: Array, tangent: Array) -> Array:
     """`compose(exp(tangent), R_a_b)` of many poses, (n, 3) both: a step of their global errors.
 
     In complex numbers, where a rotation is a product: with `h = exp(i phi / 2)` the point z goes
-    to `h^2 z + h sinc(phi / 2) rho`. It takes a fifth of the array operations.
+    to `h^2 z + h sinc(phi / 2) rho`. It takes less than half of the array operations.
     """
     # The smallest of numbers, lost in any angle but zero, makes sin(0) / 0 one.
     half = 0.5 * tangent[:, 2] + 1e-300

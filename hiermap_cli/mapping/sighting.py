@@ -1,7 +1,7 @@
 """How a scan's segments and ends lie to the walls and ends of an area.
 
 The geometry of many small things is done in complex numbers, where a point is `x + i y` and a
-rotation is a product: it takes a third of the array operations, and these are what a scan costs.
+rotation is a product: that takes fewer array operations, and these are what a scan costs.
 """
 
 from __future__ import annotations
