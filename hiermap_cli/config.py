@@ -315,6 +315,12 @@ class LoopConfig(Section):
     witness_crossing: Positive = Field(
         0.12, lt=1, description="share of beams that cross walls, of such a loop and its witnesses"
     )
+    alone_pairs: int = Field(
+        4, ge=1, description="pairs of walls not parallel, of a loop that needs no witness"
+    )
+    alone_cross: Positive = Field(8.0, description="metres of it in the direction held least")
+    alone_second: Positive = Field(0.5, le=1, description="the second best place, of it")
+    alone_gate: Positive = Field(1.2, description="chi-square, 3 degrees, of its cycle")
     agree_gate: Positive = Field(11.3, description="chi-square of loops that ask for the same")
     agree: Positive = Field(0.15, description="metres between a loop and the filter, as witnesses")
     agree_angle: Positive = Field(0.05, description="radians, likewise")
