@@ -14,6 +14,8 @@ from hiermap_cli.mapping.fragments import cut_path, fragments_of
 from hiermap_cli.mapping.loop_candidates import candidates, near_pairs, nothing_asked
 from hiermap_cli.mapping.loop_chain import broken_between, carried, chain, step_noise, steps_of
 from hiermap_cli.mapping.loop_choice import judge
+from hiermap_cli.mapping.loop_evidence import Evidence
+from hiermap_cli.mapping.loop_found import Found
 from hiermap_cli.mapping.loop_graph import (
     Edges,
     chi2,
@@ -325,10 +327,17 @@ TIGHT = np.diag([0.003, 0.003, 1e-4])
 
 def verdict_of(loops, net, **found):
     n = len(loops.i)
-    overlap = np.full(n, 10.0) if "overlap" not in found else np.array(found["overlap"])
-    second = np.zeros(n) if "second" not in found else np.array(found["second"])
-    crossing = np.zeros(n) if "crossing" not in found else np.array(found["crossing"])
-    return judge(loops, overlap, second, crossing, net, LOOPS)
+
+    def column(name, default):
+        return np.array(found.get(name, [default] * n))
+
+    evidence = Evidence(
+        column("overlap", 10.0), column("cross", 3.0), column("walls", 5), column("pairs", 2),
+        np.zeros((n, 3, 3)),
+    )  # fmt: skip
+    zero = np.zeros(n)
+    found = Found(loops, evidence, column("second", 0.0), zero, column("crossing", 0.0))
+    return judge(found, net, LOOPS)
 
 
 def believed(verdict):
@@ -401,6 +410,7 @@ def test_what_is_unlikely_is_believed_last_and_only_of_loops_far_apart(long_way)
     unlikely = loops_of(long_way, [(2, 57), (5, 54)], shift, TIGHT)
     verdict = verdict_of(unlikely, long_way)
     assert not (verdict.sure | verdict.borne).any()
+    assert verdict.last.all()
     assert believed(verdict).all()
     # While there is anything likelier left it waits.
     likely = loops_of(long_way, [(20, 39), (21, 38)], (0.1, 0.0, 0.0), TIGHT)
@@ -423,3 +433,14 @@ def test_what_was_refused_is_not_believed_again(long_way):
     verdict = verdict_of(two, long_way)
     refused = np.array([True, True])
     assert not verdict.believed(~refused, refused, LOOPS).any()
+
+
+def test_several_constellations_in_one_loop_need_no_witness_where_they_are_expected(long_way):
+    strong = {"pairs": [5], "cross": [12.0], "overlap": [30.0]}
+    one = loops_of(long_way, [(2, 57)], (0.5, 0.3, 0.0), TIGHT)
+    assert believed(verdict_of(one, long_way, **strong)).all()
+    assert not believed(verdict_of(one, long_way, **{**strong, "pairs": [2]})).any()
+    assert not believed(verdict_of(one, long_way, **strong, second=[0.6])).any()
+    sigma = np.sqrt(long_way.relative(np.array([2]), np.array([57]))[0, 0, 0])
+    off = loops_of(long_way, [(2, 57)], (1.5 * sigma, 0.0, 0.0), TIGHT)
+    assert not believed(verdict_of(off, long_way, **strong)).any()

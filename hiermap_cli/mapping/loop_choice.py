@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import LoopConfig
+    from hiermap_cli.mapping.loop_found import Found
     from hiermap_cli.mapping.loop_graph import Ways
 
     Array = NDArray[np.float64]
@@ -34,14 +35,15 @@ class Verdict(NamedTuple):
     """Of E loops, (E,) each.
 
     sure: the way there is a witness. borne: other loops are. witnesses: other loops that ask for
-    the same, none of which shares a fragment with it. wide: borne by loops over so wide a stretch
-    that it may be unlikely. support: metres of overlap that speak for its correction. rival: of
+    the same, none of which shares a fragment with it. last: it is believed when nothing else is
+    left: borne by loops over so wide a stretch that it may be unlikely, or several witnesses in
+    one. support: metres of overlap that speak for its correction. rival: of
     the correction nearest to it in support that contradicts it. sigma: metres, of the way there.
     """
 
     sure: Mask
     borne: Mask
-    wide: Mask
+    last: Mask
     witnesses: Index
     support: Array
     rival: Array
@@ -54,30 +56,26 @@ class Verdict(NamedTuple):
 
         A way over loops is shorter than the path, and tells better where else the robot may have
         been. So the loops that other loops bear are closed in the order of what was known of the
-        place before; those that are unlikely (the odometry has lied and nobody noticed) when
-        nothing else is left.
+        place before; those that are unlikely (the odometry has lied and nobody noticed) or alone
+        when nothing else is left.
         """
         now = (self.sure | (self.borne & (self.sigma < FIRST * config.sure_sigma))) & ~refused
-        for borne in (self.borne & ~refused, self.wide & ~refused):
+        for borne in (self.borne & ~refused, self.last & ~refused):
             left = borne & ~closed
             if left.any() and not (now & ~closed).any():
                 now |= borne & (self.sigma < NEXT * self.sigma[left].min())
-        return now | (closed & (self.sure | self.borne | self.wide))
+        return now | (closed & (self.sure | self.borne | self.last))
 
 
-def judge(
-    loops: Edges, overlap: Array, second: Array, crossing: Array, ways: Ways, config: LoopConfig
-) -> Verdict:
+def judge(found: Found, ways: Ways, config: LoopConfig) -> Verdict:
     """Judges E loops by the way there and by each other.
 
     Args:
-        loops: what they say.
-        overlap: (E,) metres of wall on wall.
-        second: (E,) the best other place, of this one.
-        crossing: (E,) share of beams through walls.
+        found: what they say, and their figures.
         ways: how well the fragments know of each other without them.
         config: thresholds.
     """
+    loops, overlap, second = found.edges, found.evidence.overlap, found.second
     e, f = _comparable(loops, ways, config)
     asked = discrepancy(ways.frames, loops)
     C = moved(loops.C_i_j, ways.frames[loops.i])
@@ -89,7 +87,7 @@ def judge(
     against = distance > config.gate
     n = len(loops.i)
     support = overlap + _sum(agree, e, overlap[f], n) + _sum(agree, f, overlap[e], n)
-    clean = crossing < config.witness_crossing
+    clean = found.crossing < config.witness_crossing
     apart = agree & clean[e] & clean[f] & (loops.i[e] != loops.i[f]) & (loops.j[e] != loops.j[f])
     witnesses = np.bincount(e[apart], minlength=n) + np.bincount(f[apart], minlength=n)
     rival = np.zeros(n)
@@ -105,7 +103,8 @@ def judge(
         same & (np.abs(off[:, 2]) < config.agree_angle) & (loops.j - loops.i <= config.least_steps)
     )
     # A place that looks alike lies anywhere in the gate, the same place near its middle.
-    likely = ways.chi2(loops) < config.witness_gate
+    distance = ways.chi2(loops)
+    likely = distance < config.witness_gate
     spread = np.zeros(n)
     for x in (e[apart], f[apart]):
         np.maximum.at(spread, x, _spread(loops, ways, e[apart], f[apart]))
@@ -115,12 +114,23 @@ def judge(
     return Verdict(
         sure=near & clear,
         borne=borne & likely,
-        wide=borne & (spread > config.witness_spread),
+        last=(borne & (spread > config.witness_spread)) | (_alone(found, distance, config) & clear),
         witnesses=witnesses,
         support=support,
         rival=rival,
         sigma=sigma,
     )
+
+
+def _alone(found: Found, distance: Array, config: LoopConfig) -> Mask:
+    """Loops that are several witnesses in one: constellations that share no wall, each enough.
+
+    And they are where they were expected, at a distance (E,) of next to nothing.
+    """
+    e = found.evidence
+    several = (e.pairs >= config.alone_pairs) & (e.cross >= config.alone_cross)
+    clean = (found.crossing < 0.5 * config.witness_crossing) & (found.second < config.alone_second)
+    return np.asarray(several & clean & (distance < config.alone_gate))
 
 
 def _spread(loops: Edges, ways: Ways, e: Index, f: Index) -> Array:

@@ -108,7 +108,7 @@ def close_loops(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseSc
         new = np.zeros(len(seen.chi2), dtype=bool)
         before = np.concatenate((closed[kept], new))
         refused = np.concatenate((refused[kept], new))
-        verdict = judge(found.edges, found.evidence.overlap, found.second, found.crossing, net, c)
+        verdict = judge(found, net, c)
         believed = verdict.believed(before, refused, c)
         frames, closed = _settled(frames, path, found, believed, c)
         refused |= believed & ~closed
