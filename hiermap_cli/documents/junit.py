@@ -43,7 +43,7 @@ def junit_xml(name: str, cases: Iterable[Case]) -> bytes:
     from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
     from junitparser.junitparser import Properties, Property
 
-    suite = TestSuite(xml_text(name))
+    suite: Any = TestSuite(xml_text(name))
     for case in cases:
         written: Any = TestCase(xml_text(case.name), classname=xml_text(case.suite))
         if case.seconds is not None:
