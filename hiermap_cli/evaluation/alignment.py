@@ -2,8 +2,9 @@
 
 Alignments by the maps alone are taken only where they are plain. A corridor fits another
 building's corridor at many places about as well, so what decides is how far the best place stands
-before the next: what it leaves unexplained must be clearly less (`DISTINCT`), and half of the
-model must be borne out at all. What was measured to choose these figures is in docs/evaluation.md.
+before the next: what it leaves unexplained must be clearly less (`DISTINCT`), half of the model
+must be borne out at all, with hardly a wall where the reference is bare. What was measured to
+choose these figures is in docs/evaluation.md.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiermap_cli.evaluation.evidence import SPACING
 from hiermap_cli.evaluation.search import search
 
 if TYPE_CHECKING:
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 DISTINCT = 1.25  # what the second best alignment leaves unexplained, over what the best does
+AGAINST = 0.07  # share of walls that may stand where the reference is bare
+CLEARLY = 0.1  # nats a metre of wall by which the second best must be worse in any case
 BORNE_OUT = 0.5  # share of walls and of free ground that the reference must bear out
 _LEAST = 3.0  # metres of wall that a model must have
 
@@ -54,6 +58,7 @@ class Alignment(NamedTuple):
                     "surprise": one.surprise,
                     "walls": one.walls,
                     "ground": one.ground,
+                    "against": one.against,
                 }
         return out
 
@@ -62,7 +67,7 @@ def align_by_maps(model: ModelPoints, raster: Raster | None) -> Alignment:
     """The alignment of a model with a reference, where one is plain."""
     if raster is None:
         return Alignment(None, "maps", "the reference has neither walls nor areas to align by")
-    if len(model.walls) * 0.1 < _LEAST:
+    if len(model.walls) * SPACING < _LEAST:
         return Alignment(None, "maps", "the model has hardly any wall to align by")
     found = search(model, raster)
     if not found:
@@ -77,14 +82,25 @@ def align_by_maps(model: ModelPoints, raster: Raster | None) -> Alignment:
             best,
             second,
         )
-    if second is not None and second.surprise < DISTINCT * best.surprise:
+    if best.against > AGAINST:
+        return Alignment(
+            None,
+            "maps",
+            f"the maps contradict each other: at the best place {best.against:.0%} of the walls "
+            "stand where the reference is bare; is it the same building?",
+            best,
+            second,
+        )
+    metres = len(model.walls) * SPACING
+    asked = max(DISTINCT * best.surprise, best.surprise + CLEARLY * metres)
+    if second is not None and second.surprise < asked:
         away = float(np.hypot(*(second.R_t_g - best.R_t_g)[:2]))
         return Alignment(
             None,
             "maps",
             f"two places fit about as well, {away:.1f} m apart (the second leaves "
-            f"{second.surprise / max(best.surprise, 1e-9):.2f} times as much unexplained; "
-            f"{DISTINCT:g} is asked for); give --trajectory, or it is another building",
+            f"{second.surprise:.1f} nats unexplained, the first {best.surprise:.1f}; {asked:.1f} "
+            "is asked for): give --trajectory; or it is another building",
             best,
             second,
         )

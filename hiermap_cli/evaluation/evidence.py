@@ -41,7 +41,7 @@ class Raster(NamedTuple):
     the nearest wall. facing: (HEADINGS, H, W) the same to walls of about one direction each.
     free: (H, W) known to be free; None where the reference does not say. bare: whether free ground
     is known to hold no walls: where the outlines of areas stand for walls, furniture may be there.
-    headings: (K,) directions of its walls, one for each piece of equal length.
+    faces: (K, 2) points on its walls, in pieces of equal length, and headings: (K,) there.
     """
 
     low: Array
@@ -50,6 +50,7 @@ class Raster(NamedTuple):
     facing: Array
     free: Mask | None
     bare: bool
+    faces: Array
     headings: Array
 
 
@@ -122,7 +123,7 @@ def _raster(
         fields.append(distance_transform_edt(empty) * cell if chosen.any() else none)
     if free is not None:
         free = free & (fields[0] > 0.0)
-    return Raster(low, cell, fields[0], np.array(fields[1:]), free, bare, headings)
+    return Raster(low, cell, fields[0], np.array(fields[1:]), free, bare, points, headings)
 
 
 def raster_of_grid(grid: OccupancyGrid, cell: float = 0.1) -> Raster:

@@ -33,6 +33,8 @@ _SIGMA, _ANYWHERE = 0.15, 0.1  # metres of a wall beside its place; share of wal
 _MIDST = 0.3  # metres from every wall
 _NOT_FREE = 0.2  # likelihood of free ground that is not free in the reference, over that which is
 _MOST = 3000  # points that refine a pose
+_SAME_WAY = math.sin(math.radians(30.0))  # of a wall that is drawn to another
+_CLOSE = 0.1  # metres at which a wall's pull to a line is a quarter
 _ROBUST = 0.15  # metres at which a wall's pull is halved
 
 
@@ -41,20 +43,23 @@ class Candidate(NamedTuple):
 
     surprise: what of the model the reference does not explain, in nats; see `fit`. walls: share of
     the model's wall length within 0.2 m of a wall of the reference. ground: share of its free
-    ground that is free there; 1 where the reference does not say what is free.
+    ground that is free there; 1 where the reference does not say what is free. against: share of
+    the walls that stand in the midst of ground known to be bare.
     """
 
     R_t_g: Array
     surprise: float
     walls: float
     ground: float
+    against: float
 
 
 def search(model: ModelPoints, raster: Raster) -> list[Candidate]:
     """The alignments found, best first, each more than 1 m or 10 degrees from all before it."""
     centre = np.concatenate((model.walls, model.free)).mean(axis=0)
     about = model._replace(walls=model.walls - centre, free=model.free - centre)
-    refined = [_refined(about, raster, start) for start in _starts(about, raster)]
+    rough = [_refined(about, raster, start) for start in _starts(about, raster)]
+    refined = _on_lines(about, raster, rough)
     found = [Candidate(pose, *fit(about, raster, pose)) for pose in refined]
     kept: list[Candidate] = []
     for one in sorted(found, key=lambda c: c.surprise):
@@ -72,8 +77,8 @@ def _differ(a: Array, b: Array) -> bool:
     return bool(math.hypot(a[0] - b[0], a[1] - b[1]) > APART or abs(wrap(a[2] - b[2])) > TURNED)
 
 
-def fit(model: ModelPoints, raster: Raster, pose: Array) -> tuple[float, float, float]:
-    """`surprise`, `walls` and `ground` of a candidate, for a model about its own origin at `pose`.
+def fit(model: ModelPoints, raster: Raster, pose: Array) -> tuple[float, float, float, float]:
+    """All but the pose of a candidate, for a model about its own origin at `pose`.
 
     The surprise is the negative logarithm of a likelihood: of every half metre of wall the
     mixture of a Gaussian about the nearest wall of about the same direction with a share of walls
@@ -87,18 +92,19 @@ def fit(model: ModelPoints, raster: Raster, pose: Array) -> tuple[float, float, 
     facing = np.where(exists, raster.facing[way, at[:, 1], at[:, 0]], math.inf)
     near = np.where(exists, raster.distance[at[:, 1], at[:, 0]], math.inf)
     nats = -np.log((1.0 - _ANYWHERE) * np.exp(-0.5 * (facing / _SIGMA) ** 2) + _ANYWHERE)
-    ground = 1.0
-    total = 0.0
+    ground, against, total = 1.0, 0.0, 0.0
     if raster.free is not None:
         if raster.bare:
-            nats += exists & raster.free[at[:, 1], at[:, 0]] & (near > _MIDST)
+            bare = exists & raster.free[at[:, 1], at[:, 0]] & (near > _MIDST)
+            nats += bare
+            against = float(bare.mean())
         if len(model.free):
             at, exists = _cells(raster, model.free @ rotation(pose[2]).T + pose[:2])
             free = raster.free[at[:, 1], at[:, 0]] & exists
             ground = float(free.mean())
             total -= math.log(_NOT_FREE) * float((~free).sum()) * FREE_SPACING**2 / 0.5
     total += float((model.weights * nats).sum()) * SPACING / 0.5
-    return total, float((near <= NEAR).mean()), ground
+    return total, float((near <= NEAR).mean()), ground, against
 
 
 def _cells(raster: Raster, points: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -219,3 +225,42 @@ def _refined(model: ModelPoints, raster: Raster, start: Array, rounds: int = 25)
             break
     pose[2] = wrap(pose[2])
     return pose
+
+
+def _on_lines(model: ModelPoints, raster: Raster, starts: list[Array]) -> list[Array]:
+    """The poses brought on from the cells of a raster to the walls themselves.
+
+    Point to line: every point of the model is drawn across the wall that lies nearest, if that
+    goes its way. What two walls a few centimetres from each other could each explain pulls little.
+    """
+    from scipy.spatial import KDTree
+
+    tree = KDTree(raster.faces)
+    normals = np.column_stack((-np.sin(raster.headings), np.cos(raster.headings)))
+    thin = slice(None, None, max(1, len(model.walls) // _MOST))
+    walls, headings = model.walls[thin], model.headings[thin]
+    out = []
+    for start in starts:
+        pose = start.copy()
+        for _ in range(8):
+            turned = walls @ rotation(pose[2]).T
+            query = tree.query(turned + pose[:2], distance_upper_bound=2.0 * NEAR)
+            apart, nearest = np.asarray(query[0]), np.asarray(query[1])
+            found = np.flatnonzero(np.isfinite(apart))
+            at = nearest[found]
+            across = np.sin(headings[found] + pose[2] - raster.headings[at])
+            found, at = found[np.abs(across) < _SAME_WAY], at[np.abs(across) < _SAME_WAY]
+            if len(found) < 3:
+                break
+            n, p = normals[at], turned[found]
+            error = ((p + pose[:2] - raster.faces[at]) * n).sum(axis=1)
+            weight = 1.0 / (1.0 + (error / _CLOSE) ** 2) ** 2
+            J = np.column_stack((n, p[:, 0] * n[:, 1] - p[:, 1] * n[:, 0]))
+            A = (J * weight[:, None]).T @ J + np.diag([1e-3, 1e-3, 1e-1])
+            step = -np.linalg.solve(A, J.T @ (weight * error))
+            pose = pose + step
+            if np.abs(step).max() < 1e-5:
+                break
+        pose[2] = wrap(pose[2])
+        out.append(pose)
+    return out
