@@ -132,7 +132,8 @@ def _parse(document: object, faults: list[str]) -> ReferenceMap:
         doors=None if doors is None else tuple(doors),
         areas=None if areas is None else tuple(areas),
     )
-    _check_ids(reference, faults)
+    if not faults:  # what could not be read is not missed as well
+        _check_ids(reference, faults)
     return reference
 
 
@@ -252,11 +253,9 @@ def _area(entry: dict[str, Any], place: str, faults: list[str]) -> ReferenceArea
         faults.append(f"{place}.polygon: is not a list of three or more [x, y] in finite numbers")
         return None
     corners = np.array(points, dtype=float)
-    if abs(_twice_area(corners)) < 1e-9:
-        faults.append(f"{place}.polygon: has no area")
-        sound = False
-    elif crossing := _crossing(corners):
-        faults.append(f"{place}.polygon: {crossing}")
+    crossing = _crossing(corners)
+    if crossing or abs(_twice_area(corners)) < 1e-9:
+        faults.append(f"{place}.polygon: {crossing or 'has no area'}")
         sound = False
     if not sound or common is None:
         return None
@@ -264,13 +263,20 @@ def _area(entry: dict[str, Any], place: str, faults: list[str]) -> ReferenceArea
 
 
 def _crossing(corners: Array) -> str:
-    """Where a polygon (m, 2) crosses or touches itself; empty where it does not."""
+    """Where a polygon (m, 2) crosses or touches itself; empty where it does not.
+
+    One that is a mere line does not: it has no area.
+    """
     import shapely  # only reference maps need it
 
     polygon = shapely.Polygon(corners)
     if polygon.is_valid:
         return ""
     reason: str = shapely.is_valid_reason(polygon)
+    if len(np.unique(corners, axis=0)) < 3 or "[" not in reason:
+        return ""
+    if np.linalg.matrix_rank(corners - corners[0], tol=1e-9) < 2:
+        return ""
     what, _, where = reason.partition("[")
     x, _, y = where.rstrip("]").partition(" ")
     return f"crosses itself ({what.strip().lower()}) at [{float(x):g}, {float(y):g}]"
