@@ -132,12 +132,19 @@ def _parse(document: object, faults: list[str]) -> ReferenceMap:
         doors=None if doors is None else tuple(doors),
         areas=None if areas is None else tuple(areas),
     )
-    if not faults:  # what could not be read is not missed as well
-        _check_ids(reference, faults)
+    _check_ids(reference, _named(document), faults)
     return reference
 
 
-def _check_ids(reference: ReferenceMap, faults: list[str]) -> None:
+def _named(document: dict[str, Any]) -> set[str]:
+    """Ids of all areas that the document lists, those with faults too."""
+    areas = document.get("areas")
+    entries = areas if isinstance(areas, list) else []
+    ids = [entry.get("id") for entry in entries if isinstance(entry, dict)]
+    return {id_ for id_ in ids if isinstance(id_, str)}
+
+
+def _check_ids(reference: ReferenceMap, known: set[str], faults: list[str]) -> None:
     for name, items in (("areas", reference.areas), ("doors", reference.doors)):
         ids = [item.id for item in items or ()]
         faults.extend(
@@ -145,7 +152,6 @@ def _check_ids(reference: ReferenceMap, faults: list[str]) -> None:
             for repeated in sorted({i for i in ids if ids.count(i) > 1})
         )
     if reference.areas is not None:
-        known = {area.id for area in reference.areas}
         for door in reference.doors or ():
             faults.extend(
                 f"doors: {door.id!r} leads to area {area!r}, which is not listed"
