@@ -37,7 +37,6 @@ def traced_walls(grid: OccupancyGrid) -> Array:
     a free cell is left out.
     """
     import shapely
-    from scipy.ndimage import binary_dilation
 
     outline = shapely.simplify(cells_as_polygon(grid.occupied), _STRAIGHT).boundary
     lines = [np.array(part.coords) for part in shapely.get_parts(outline)]
@@ -45,12 +44,36 @@ def traced_walls(grid: OccupancyGrid) -> Array:
     segments = np.concatenate(sides) if sides else np.zeros((0, 4))
     span = segments[:, 2:] - segments[:, :2]
     segments = segments[np.hypot(span[:, 0], span[:, 1]) >= _SHORTEST]
-    near = binary_dilation(grid.free, iterations=2)
-    points = segments[:, :2, None] + (segments[:, 2:] - segments[:, :2])[:, :, None] * _SHARES
-    row = np.clip(points[:, 1].astype(int), 0, near.shape[0] - 1)
-    column = np.clip(points[:, 0].astype(int), 0, near.shape[1] - 1)
-    facing = near[row, column].mean(axis=1) >= 0.5
-    return grid.to_map(segments[facing].reshape(-1, 2)).reshape(-1, 4)
+    segments = segments[_facing(grid, segments)]
+    return grid.to_map(segments.reshape(-1, 2)).reshape(-1, 4)
+
+
+def _facing(grid: OccupancyGrid, segments: Array) -> Mask:
+    """Which segments (S, 4), in cells, have free ground before them, at most some haze away.
+
+    Asked at five places of each: behind it must be the wall.
+    """
+    span = segments[:, 2:] - segments[:, :2]
+    normal = np.column_stack((-span[:, 1], span[:, 0])) / np.hypot(*span.T)[:, None]
+    places = segments[:, None, :2] + _SHARES[:, None] * span[:, None]
+    facing = np.zeros(places.shape[:2], dtype=bool)
+    for side in (1.0, -1.0):
+        before = side * normal[:, None]
+        clear = _at(grid.occupied, places - 0.5 * before)
+        for cells in _BEFORE:
+            ahead = places + cells * before
+            facing |= clear & _at(grid.free, ahead)
+            clear &= ~_at(grid.occupied, ahead)
+    return np.asarray(facing.mean(axis=1) >= 0.5)
+
+
+def _at(cells: Mask, points: Array) -> Mask:
+    """Whether points (..., 2), in cells, x first, lie in cells of a mask."""
+    at = np.floor(points).astype(int)
+    exists = ((at >= 0) & (at < cells.shape[::-1])).all(axis=-1)
+    at[~exists] = 0
+    return np.asarray(cells[at[..., 1], at[..., 0]] & exists)
 
 
 _SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+_BEFORE = (0.5, 1.5, 2.5)  # cells before a wall's face

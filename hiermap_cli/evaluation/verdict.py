@@ -127,7 +127,7 @@ def _times(factor: float) -> str:
 def _worst(parts: Sequence[Check], *, over: bool) -> str:
     """Where it is worst: the area and the kind of landmark farthest beyond their bands."""
     said = []
-    for group in ("area ", "kind "):
+    for group, word in (("area ", "in "), ("kind ", "for ")):
         state = "overconfident" if over else "cautious"
         beyond = [
             one
@@ -136,5 +136,5 @@ def _worst(parts: Sequence[Check], *, over: bool) -> str:
         ]
         if beyond:
             worst = max(beyond, key=lambda one: one.value if over else -one.value)
-            said.append(f"{worst.where} ({worst.name} {worst.value:.2f})")
-    return f", worst in {' and for '.join(said)}" if said else ""
+            said.append(f"{word}{worst.where} ({worst.name} {worst.value:.2f})")
+    return f", worst {' and '.join(said)}" if said else ""
