@@ -93,6 +93,9 @@ class OdometryFaultConfig(Section):
     turning_speed: Positive = Field(0.15, description="m/s, below which a robot may turn about")
     poor_share: NonNegative = Field(0.6, le=1, description="of a scan's segments; fewer match ill")
     poor_nis: Positive = Field(2.5, description="a row of a scan; a larger one matches ill")
+    sound_share: NonNegative = Field(
+        0.75, le=1, description="of a scan's segments; where more match, the walls are known here"
+    )
     clear: Positive = Field(15.0, description="of chi-square, for one hypothesis to be the truth")
     shown: Positive = Field(
         25.0, description="of chi-square that would have shown if odometry had the wrong sign"

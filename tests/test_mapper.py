@@ -14,6 +14,7 @@ from hiermap_cli.evaluation.consistency import first_pose_alignment, landmark_ne
 from hiermap_cli.evaluation.trajectory import ate
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.assembly import assemble
+from hiermap_cli.mapping.levels import compose_levels
 from hiermap_cli.mapping.mapper import Mapper, run_filter
 from hiermap_cli.mapping.run import map_log
 from hiermap_cli.simulation.simulator import simulate
@@ -63,7 +64,8 @@ def cut(blocks, scans):
 def filtered(blocks, config=None):
     """The mapper and its result."""
     mapper, _ = run_filter(iter(blocks), Config() if config is None else config)
-    return mapper, assemble(mapper)
+    levels = compose_levels(mapper)
+    return mapper, assemble(mapper, levels, levels)
 
 
 @cache

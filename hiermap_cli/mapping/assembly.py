@@ -200,6 +200,11 @@ def _metrics(mapper: Mapper, found: Sequence[FoundArea], laser_x: float) -> tupl
         ("odometry_curvature", parameters[odometry_model.CURVATURE]),
         ("laser_x", laser_x + parameters[odometry_model.LASER_X]),
     )
+    variances = mapper.area.V.covariance.diagonal()[3 : 3 + len(parameters)]
+    sigmas = tuple(
+        (f"{name}_sigma", float(np.sqrt(max(variance, 0.0))))
+        for (name, _), variance in zip(calibration, variances.tolist(), strict=True)
+    )
     noise = (
         ("noise_odometry", mapper.noise.odometry),
         ("noise_walls", mapper.noise.walls),
@@ -221,7 +226,7 @@ def _metrics(mapper: Mapper, found: Sequence[FoundArea], laser_x: float) -> tupl
         metric("loops_closed", recognised + closed, recognised + closed + held + refused),
         metric("loops_rejected", refused, recognised + closed + held + refused),
         metric("relocations", relocated, relocated),
-        *(metric(name, value, n.keys) for name, value in (*calibration, *noise)),
+        *(metric(name, value, n.keys) for name, value in (*calibration, *sigmas, *noise)),
     ]
     if n.degrees and n.nis > 0.0:
         metrics.append(metric("nis_mean", n.nis / n.degrees, n.keys))

@@ -142,8 +142,8 @@ class DirectionWatch:
         self._last, self._at = (stamp_ns, x, y), odometry
         self._stamps.append(stamp_ns)
         raw = se2.between(self._base, odometry)
-        before = float(self._raw[-1][0]) if self._raw else 0.0
-        self._told_backward += max(before - float(raw[0]), 0.0)
+        if speed > self.stepper.config.odometry_faults.turning_speed:
+            self._told_backward += max(-ahead, 0.0)
         self._raw.append(raw)
         return raw if self.sign > 0.0 else reversed_(raw)
 
@@ -188,7 +188,7 @@ class DirectionWatch:
         best = self._best(told.cost)
         if best is not None and self._convincing(best, told.cost):
             return best
-        if not suspicious:
+        if len(step.matches.wall) >= c.sound_share * min(step.offered, MAX_SEGMENTS):
             self._shown += would_show(told)
         if best is not None and self.sign < 0.0 and best.path() > c.max_backward:
             return best
@@ -218,15 +218,18 @@ class DirectionWatch:
     def _convincing(self, best: Branch, cost: float) -> bool:
         """Whether a branch explains the walls clearly better than what costs so much.
 
-        Ahead again after a while of driving backwards is believed sooner than the contrary, and
-        odometry that has told of backing up has probably not lost its sign.
+        Ahead again after a while of driving backwards is believed sooner than the contrary.
+        Odometry that has told of backing up has probably not lost its sign, and what it tells
+        of backing up is probably true.
         """
         c = self.stepper.config.odometry_faults
         if best.path() < c.min_path:
             return False
         if self.sign < 0.0:
             return best.cost < cost - c.clear / 3.0
-        clear = c.clear * (3.0 if self._told_backward > c.backward else 1.0)
+        ahead = sum(float(one.drive.increments[-1, 0]) for one in best.told) < 0.0
+        signed = ahead and self._told_backward > c.backward
+        clear = c.clear * (3.0 if signed else 1.0 if ahead else 2.0)
         since = best.cost - (best.told[0].cost - self.stepper.misfit(best.told[0].step))
         return best.cost < cost - clear - c.share * since
 

@@ -1,0 +1,111 @@
+"""Odometry that has lost its sign: told from truth by the walls, and bridged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiermap_cli.config import Config
+from hiermap_cli.evaluation.trajectory import ate
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.direction import reversed_, turned_from
+from hiermap_cli.mapping.levels import compose_levels
+from hiermap_cli.mapping.mapper import run_filter
+from hiermap_cli.simulation.simulator import simulate
+from hiermap_cli.simulation.world import build_world, load_world
+
+ROOM = Path(__file__).resolve().parents[1] / "datasets" / "room.yaml"
+REVERSED = {"faults": [{"kind": "reversed", "begin": 48.0, "end": 57.0}]}
+FAULTY = ("odometry_reversed", "odometry_missing")
+
+
+def filtered(blocks):
+    mapper, _ = run_filter(iter(blocks), Config())
+    mapper.finish()
+    return mapper
+
+
+def simulated(seed, **odometry):
+    """A run in the room of figure 8, with settings of its wheels."""
+    spec = load_world(ROOM).spec
+    plain = spec.model_dump(exclude_none=True)
+    plain["odometry"] |= odometry
+    return simulate(build_world(type(spec).model_validate(plain)), np.random.default_rng(seed))
+
+
+def off(mapper, simulation):
+    """Root mean square error against the truth, metres."""
+    trajectory = compose_levels(mapper).trajectory
+    return ate(trajectory.stamps_ns, trajectory.poses, simulation.stamps_ns, simulation.truth).rmse
+
+
+def stretches(mapper, kind):
+    start = mapper.trail.stamps_ns[0] / 1e9
+    return [
+        (event.details["begin"] - start, event.details["end"] - start)
+        for event in mapper.events
+        if event.kind == kind
+    ]
+
+
+def test_a_direction_turned_about_midway():
+    steps = np.array([[0.1, 0.0, 0.1], [0.1, 0.01, 0.0], [0.2, 0.0, -0.2]])
+    increments = [np.zeros(3)]
+    for step in steps:
+        increments.append(se2.compose(increments[-1], step))
+    increments = np.array(increments[1:])
+    turned = turned_from(increments, 0)
+    back = [turned[0], *(se2.between(turned[i], turned[i + 1]) for i in range(2))]
+    np.testing.assert_allclose(back[0], steps[0], atol=1e-12)
+    np.testing.assert_allclose(np.array(back[1:]), reversed_(steps[1:]), atol=1e-12)
+    np.testing.assert_allclose(turned_from(increments, -1), reversed_(increments), atol=1e-12)
+    np.testing.assert_allclose(turned_from(increments, 2), increments, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_reversed_odometry_is_recognised_with_its_time_and_bends_nothing(seed):
+    simulation = simulated(seed, **REVERSED)
+    mapper = filtered(simulation.blocks())
+    found = stretches(mapper, "odometry_reversed")
+    assert len(found) == 1
+    begin, end = found[0]
+    assert begin == pytest.approx(48.0, abs=2.5)  # the robot stands still for a second or two
+    assert end == pytest.approx(57.0, abs=2.5)
+    assert off(mapper, simulation) < 0.05
+    assert len(mapper.trail.stamps_ns) == len(simulation.stamps_ns)
+
+
+def test_odometry_without_any_motion_is_bridged_and_told():
+    simulation = simulated(2, faults=[{"kind": "missing", "begin": 54.5, "end": 57.5}])
+    mapper = filtered(simulation.blocks())
+    found = stretches(mapper, "odometry_missing")
+    assert found
+    assert 54.0 < found[0][0] < 56.5
+    assert found[-1][1] < 59.0
+    assert off(mapper, simulation) < 0.1
+    keyscans = mapper.keyscans.taken()
+    failed = (keyscans.stamps_ns[~keyscans.trusted] - keyscans.stamps_ns[0]) * 1e-9
+    assert len(failed)
+    assert ((failed > 54.5) & (failed < 59.0)).all()
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(3, marks=pytest.mark.slow)])
+def test_sound_odometry_is_never_doubted(seed):
+    mapper = filtered(simulated(seed).blocks())
+    assert not [event for event in mapper.events if event.kind in FAULTY or event.kind == "lost"]
+    assert mapper.keyscans.taken().trusted.all()
+
+
+def test_what_is_recorded_is_what_was_believed():
+    """The refinement gets increments whose direction is the true one, from the turn on."""
+    simulation = simulated(0, **REVERSED)
+    keyscans = filtered(simulation.blocks()).keyscans.taken()
+    at = np.searchsorted(simulation.stamps_ns, keyscans.stamps_ns)
+    true = se2.between(simulation.truth[at[:-1]], simulation.truth[at[1:]])
+    told = keyscans.increments[1:]
+    moving = np.abs(true[:, 0]) > 0.1
+    assert moving.sum() > 50
+    wrong = moving & (np.sign(told[:, 0]) != np.sign(true[:, 0]))
+    assert wrong.sum() <= 1  # the one in which the direction changes
