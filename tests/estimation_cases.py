@@ -11,7 +11,6 @@ from hiermap_cli.estimation.gaussian import Gain, gain
 from hiermap_cli.estimation.stochastic_map import StochasticMap, corrected
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import END, WALL, AreaMap, Features
-from hiermap_cli.mapping.sighting import measuring_pose
 from hiermap_cli.perception.segments import END_OPEN, END_VERTEX
 from hiermap_cli.perception.views import SegmentView
 
@@ -131,7 +130,7 @@ def view_from(
 
     parts: (wall's object index, from, to) along the wall, one for each segment.
     """
-    frames = se2.between(measuring_pose(area.V), area.V.poses[1:])
+    frames = se2.between(area.V.robot, area.V.poses[1:])
     ends, theta = [], []
     for wall, lo, hi in parts:
         x, y, turn = frames[wall]

@@ -22,12 +22,11 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import END, WALL, add_ends, add_walls, area_from_here, forget
 from hiermap_cli.mapping.portals import add_anchor
 from hiermap_cli.mapping.sighting import (
-    Laser,
     Matches,
     Seen,
     Sighting,
+    Viewpoint,
     match_rows,
-    measuring_pose,
     object_frames,
 )
 from hiermap_cli.perception.segments import END_VERTEX
@@ -67,7 +66,7 @@ def scene(rng, coordinates, parameters=4):
 
 
 def innovations(V, view, matches):
-    return sighting(V, view, matches).innovations(Laser.of(V))
+    return sighting(V, view, matches).innovations(Viewpoint.of(V))
 
 
 def sighting(V, view, matches):
@@ -76,7 +75,7 @@ def sighting(V, view, matches):
 
 @pytest.mark.parametrize("parameters", [4, 0])
 def test_rows_meet_central_differences(rng, coordinates, parameters):
-    """What a scan says against errors of robot, walls, ends and the laser's place: measured minus
+    """What a scan says against errors of robot, walls and ends: measured minus
     predicted falls where the estimate is moved towards what is measured."""
     area, view, matches = scene(rng, coordinates, parameters)
     V = area.V
@@ -129,24 +128,22 @@ def test_noise_is_that_of_the_segments_at_the_walls_origins(rng, coordinates):
     assert np.array_equal(R, R.T)
 
 
-def test_the_laser_is_where_its_parameter_says(rng):
+def test_a_scan_is_seen_from_the_robot_whatever_the_lasers_parameter_is(rng):
+    """The robot's frame is that from which the mount leads to the laser."""
     V = random_map(rng, 1)
-    shift = np.array([V.parameters[LASER_X], 0.0, 0.0])
-    assert measuring_pose(V) == pytest.approx(se2.compose(V.robot, shift))
-    laser = Laser.of(V)
-    from_object = object_frames(V).local(laser.place)
-    expected = se2.between(V.poses[1:], measuring_pose(V))
+    V.parameters[LASER_X] = 0.3
+    viewpoint = Viewpoint.of(V)
+    from_object = object_frames(V).local(viewpoint.place)
+    expected = se2.between(V.poses[1:], V.robot)
     assert from_object.real == pytest.approx(expected[:, 0])
     assert from_object.imag == pytest.approx(expected[:, 1])
-    turn = object_frames(V).unturn * laser.turn
+    turn = object_frames(V).unturn * viewpoint.turn
     assert np.angle(turn) == pytest.approx(expected[:, 2])
     assert np.abs(turn) == pytest.approx(1.0)
-    without = random_map(rng, 1, parameters=0)
-    assert np.array_equal(measuring_pose(without), without.robot)
 
 
 def test_new_walls_by_central_differences(rng, coordinates):
-    """A wall is where laser and robot say, with the line's noise across it, and along it half of
+    """A wall is where the robot sees it, with the line's noise across it, and along it half of
     its length, which no measurement uses."""
     area = walls_area(random_map(rng, 1, coordinates), [1.0])
     _, view, _ = scene(np.random.default_rng(1), coordinates)
@@ -158,10 +155,10 @@ def test_new_walls_by_central_differences(rng, coordinates):
 
     def true_error(e):
         true = moved(area.V, e[:N])
-        laser = measuring_pose(true)
+        robot = true.robot
         out = []
         for i, z in enumerate(seen):
-            wall = se2.compose(se2.compose(laser, z), se2.exp(e[N + 3 * i : N + 3 * i + 3]))
+            wall = se2.compose(se2.compose(robot, z), se2.exp(e[N + 3 * i : N + 3 * i + 3]))
             out.append(error_of(coordinates, wall, after.V.poses[2 + i]))
         return np.concatenate(out)
 
@@ -186,7 +183,7 @@ def test_new_walls_by_central_differences(rng, coordinates):
 
 
 def test_new_ends_by_central_differences(rng, coordinates):
-    """An end is where its line is and as turned, and along it where robot and laser see it: the
+    """An end is where its line is and as turned, and along it where the robot sees it: the
     line is not used a second time."""
     V = random_map(rng, 2, coordinates)
     area = walls_area(V, [1.5, 1.0])
@@ -195,18 +192,18 @@ def test_new_ends_by_central_differences(rng, coordinates):
     after = add_ends(area, walls, x, sigma, np.array([1, 0]), key=4)
     N = len(V.covariance)
     point = [
-        se2.between(measuring_pose(V), se2.compose(V.poses[1 + w], np.array([along, 0.0, 0.0])))
+        se2.between(V.robot, se2.compose(V.poses[1 + w], np.array([along, 0.0, 0.0])))
         for w, along in zip(walls, x, strict=True)
     ]
 
     def true_error(e):
         """The point seen, projected on the true wall."""
         true = moved(V, e[:N])
-        laser = measuring_pose(true)
+        robot = true.robot
         out = []
         for i, (w, z) in enumerate(zip(walls, point, strict=True)):
             wall = true.poses[1 + w]
-            along = se2.between(wall, se2.compose(laser, z))[0] + e[N + i]
+            along = se2.between(wall, se2.compose(robot, z))[0] + e[N + i]
             end = se2.compose(wall, np.array([along, 0.0, 0.0]))
             out.append(error_of(coordinates, end, after.V.poses[3 + i]))
         return np.concatenate(out)

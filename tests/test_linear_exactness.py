@@ -79,6 +79,12 @@ class Kalman:
         h[4 + 2 * object_ + axis] = 1.0
         return h
 
+    def robot(self, axis):
+        """A row (n,) that takes one coordinate of the robot."""
+        h = np.zeros(len(self.x))
+        h[axis] = 1.0
+        return h
+
     def sensor(self, axis):
         """A row (n,) that takes one coordinate of the laser."""
         h = np.zeros(len(self.x))
@@ -226,7 +232,7 @@ def scan_of_walls(kalman, rng):
     centre, ends, length = [], [], []
     for wall in range(4):
         along = np.array([np.cos(HEADINGS[wall]), np.sin(HEADINGS[wall])])
-        origin = kalman.x[4 + 2 * wall : 6 + 2 * wall] - kalman.x[:2] - [kalman.x[3], 0.0]
+        origin = kalman.x[4 + 2 * wall : 6 + 2 * wall] - kalman.x[:2]
         origin = origin + 0.02 * rng.normal(size=2)
         lo, hi = -HALF[wall] + 0.02 * rng.normal(), HALF[wall] + 0.02 * rng.normal()
         ends.append([origin + lo * along, origin + hi * along])
@@ -254,19 +260,18 @@ def naive_update(kalman, area, view, step):
     for row, (s, w) in enumerate(zip(m.segment, m.wall, strict=True)):
         along = np.array([np.cos(HEADINGS[w]), np.sin(HEADINGS[w])])
         normal = np.array([-along[1], along[0]])
-        seen_from = before[:2] + np.array([before[3], 0.0])
-        arm = along @ (seen_from + view.centre[s] - before[4 + 2 * w : 6 + 2 * w])
+        arm = along @ (before[:2] + view.centre[s] - before[4 + 2 * w : 6 + 2 * w])
         G = np.array([[1.0, -arm], [0.0, 1.0]])
         R[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = (
             G @ np.diag([view.var_y[s], view.var_theta[s]]) @ G.T
         )
-        relative = [kalman.row(w, a) - kalman.sensor(a) for a in range(2)]
+        relative = [kalman.row(w, a) - kalman.robot(a) for a in range(2)]
         H += [normal @ relative, np.zeros(len(kalman.x))]
         z += [normal @ view.centre[s], 0.0]
     for row, (s, side, e) in enumerate(zip(m.end_segment, m.end_side, m.end, strict=True)):
         theta = area.V.poses[1 + e, 2]
         along = np.array([np.cos(theta), np.sin(theta)])
-        H.append(along @ [kalman.row(e, a) - kalman.sensor(a) for a in range(2)])
+        H.append(along @ [kalman.row(e, a) - kalman.robot(a) for a in range(2)])
         z.append(along @ view.ends[s, side])
         R[2 * k + row, 2 * k + row] = view.end_sigma[s, side] ** 2
     return kalman.update(np.array(H), np.array(z), R)
@@ -275,7 +280,7 @@ def naive_update(kalman, area, view, step):
 @BOTH
 @pytest.mark.parametrize("seed", range(2))
 def test_a_scan_of_an_area_is_the_kalman_filters(coordinates, update, seed):
-    """From `observe`, with its matching: lines and ends of walls, and the laser's place."""
+    """From `observe`, with its matching: lines and ends of walls."""
     rng = np.random.default_rng(seed)
     area, kalman, index = square_area(coordinates, rng)
     config = Config(update=update, coordinates=coordinates)

@@ -159,10 +159,24 @@ def test_no_motion_has_no_noise():
     assert not step.by_parameters.any()
 
 
-def test_the_lasers_place_does_not_move_the_robot():
-    step = motion(np.array([0.3, 0.0, 0.2]), np.array([0.0, 0.0, 0.0, 0.1]), CONFIG)
-    assert step.pose == pytest.approx([0.3, 0.0, 0.2])
-    assert not step.by_parameters[:, LASER_X].any()
+@given(increment=increments, lever=st.floats(-0.3, 0.3))
+def test_the_robot_turns_about_a_point_behind_it(increment, lever):
+    """The point about which odometry turns, `lever` behind the robot, makes the increment."""
+    parameters = np.array([0.0, 0.0, 0.0, lever])
+    step = motion(increment, parameters, CONFIG)
+    L = np.array([lever, 0.0, 0.0])
+    made = se2.compose(se2.compose(L, step.pose), se2.invert(L))
+    assert made == pytest.approx(increment, abs=1e-12)
+    behind = motion(increment, NONE, CONFIG).covariance
+    Ad = se2.adjoint(se2.invert(L))
+    assert np.allclose(step.covariance, Ad @ behind @ Ad.T, rtol=0, atol=1e-15)
+
+
+def test_driving_straight_says_nothing_of_the_lasers_place():
+    straight = motion(np.array([0.3, 0.0, 0.0]), NONE, CONFIG)
+    assert not straight.by_parameters[:, LASER_X].any()
+    turning = motion(np.array([0.0, 0.0, 0.5]), NONE, CONFIG)
+    assert turning.by_parameters[:, LASER_X] == pytest.approx([1.0 - np.cos(0.5), np.sin(0.5), 0.0])
 
 
 def test_the_prior_has_the_configurations_sigmas():

@@ -19,7 +19,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hiermap_cli.config import RelocationConfig
-from hiermap_cli.estimation.motion import LASER_X
 from hiermap_cli.estimation.stochastic_map import StochasticMap
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.relocation import (
@@ -78,21 +77,6 @@ def test_a_robot_that_believes_itself_elsewhere_is_found(x, y, theta, off, way, 
     assert se2.wrap(found.pose[2] - theta) == pytest.approx(0.0, abs=0.01)
     assert found.explained == pytest.approx(found.total, rel=0.05)
     assert found.second <= CONFIG.second * found.explained
-
-
-@pytest.mark.parametrize("turned", [0.0, 0.2, -1.3])
-def test_the_lasers_place_is_taken_into_account(turned):
-    """What is found is the robot, and the laser is 15 cm ahead of where the mount says, in the
-    direction that the robot truly faces."""
-    truth = np.array([0.3, 0.2, 1.0])
-    seeing = odd_room(truth)
-    seeing.V.parameters[LASER_X] = 0.15
-    view = view_from(seeing, [(w, -HALF[w] + 0.1, HALF[w] - 0.1) for w in range(6)])
-    area = odd_room(off_by(truth, 0.2, -0.2, turned))
-    area.V.parameters[LASER_X] = 0.15
-    found = relocate(area, view, CONFIG, suspect=True)
-    assert found is not None
-    assert found.pose == pytest.approx(truth, abs=0.01)
 
 
 def test_a_scan_from_elsewhere_is_not_found():

@@ -4,6 +4,10 @@ Besides noise, odometry has faults that stay: its scale, the scale of its rotati
 heading drift proportional to the distance. They, and the laser's x offset on the robot, are
 parameters in the state, `[scale, rotation_scale, curvature, laser_x]`, all zero when nothing
 is wrong.
+
+The robot's frame is the one from which the log's mount leads to the laser: a scan placed with
+that mount lies right. As far as the mount is wrong, it is the point about which odometry turns
+that lies elsewhere: `laser_x` behind the frame's origin.
 """
 
 from __future__ import annotations
@@ -42,7 +46,7 @@ def prior_covariance(config: OdometryConfig) -> Array:
 
 
 def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motion:
-    """The calibrated motion of one odometry increment `[dx, dy, dtheta]` (robot's frame).
+    """The calibrated motion of one odometry increment `[dx, dy, dtheta]`.
 
     With ds = dx (signed: backing up unwinds the drift) the heading turns by
     `(1 + b) dtheta + c ds`, and the chord is turned by half of what this adds. The noise is a
@@ -50,7 +54,7 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
     changes nothing.
     """
     dx, dy, dtheta = increment.tolist()
-    a, b, c = parameters[:3].tolist()
+    a, b, c, lever = parameters.tolist()
     turn = (1.0 + b) * dtheta + c * dx
     half = 0.5 * (turn - dtheta)
     cos_h, sin_h = math.cos(half), math.sin(half)
@@ -65,6 +69,7 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
         (-0.5 * y * dx, 0.5 * x * dx, dx),
         (0.0, 0.0, 0.0),
     )
+    # Of the point about which odometry turns; the robot's origin is `lever` ahead of it.
     J = np.array(
         [
             [cos_t * d_x + sin_t * d_y for d_x, d_y, _ in columns],
@@ -72,6 +77,8 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
             [d_turn for _, _, d_turn in columns],
         ]
     )
+    J[1] += lever * J[2]
+    J[:2, LASER_X] = 1.0 - cos_t, sin_t
 
     distance, angle = math.hypot(dx, dy), abs(dtheta)
     var_x = config.sigma_xy_per_sqrt_m**2 * distance + config.sigma_xy_per_sqrt_rad**2 * angle
@@ -80,6 +87,9 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
     # at full lever arm, correlated by a half (a random walk integrated once).
     var_y = var_x + var_t * distance**2 / 3.0
     cov = math.copysign(0.5 * var_t * distance, dx)
+    var_y += 2.0 * lever * cov + lever**2 * var_t
+    cov += lever * var_t
+    x, y = x + lever * (cos_t - 1.0), y + lever * sin_t
     Q = np.array([[var_x, 0.0, 0.0], [0.0, var_y, cov], [0.0, cov, var_t]])
     return Motion(np.array([x, y, se2.wrap_one(turn)]), Q, J)
 

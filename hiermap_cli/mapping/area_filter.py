@@ -22,7 +22,7 @@ from hiermap_cli.mapping.area_map import (
 )
 from hiermap_cli.mapping.innovations import Innovation
 from hiermap_cli.mapping.matching import associate
-from hiermap_cli.mapping.sighting import Laser, object_frames
+from hiermap_cli.mapping.sighting import Viewpoint, object_frames
 from hiermap_cli.perception.segments import END_OPEN
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     along = np.zeros((0, 2))
     if constraint is not None and sighting is not None:
         V, made = constrain(
-            area.V, constraint, lambda V: sighting.innovations(Laser.of(V)), config.update
+            area.V, constraint, lambda V: sighting.innovations(Viewpoint.of(V)), config.update
         )
         nis, degrees = made.nis, len(constraint.innovation)
         S = constraint.gain.S
@@ -100,8 +100,8 @@ def _seen(area: AreaMap, matches: Matches, x: Array, key: int) -> AreaMap:
 
 def _along(V: StochasticMap, view: SegmentView, matches: Matches) -> Array:
     """Both ends of matched segments along the X axis of their walls, (a, 2)."""
-    F, laser = object_frames(V, matches.wall), Laser.of(V)
-    ends = laser.place + laser.turn * planar(view.ends).take(matches.segment, axis=0)
+    F, viewpoint = object_frames(V, matches.wall), Viewpoint.of(V)
+    ends = viewpoint.place + viewpoint.turn * planar(view.ends).take(matches.segment, axis=0)
     return np.asarray(((ends - F.origin[:, None]) * F.unturn[:, None]).real)
 
 

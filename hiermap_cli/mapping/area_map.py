@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.motion import LASER_X, PARAMETERS
 from hiermap_cli.estimation.stochastic_map import (
     StochasticMap,
     add_objects,
@@ -87,19 +86,14 @@ def add_walls(area: AreaMap, view: SegmentView, segments: Index, key: int) -> Ar
     if not len(segments):
         return area
     V, k = area.V, len(segments)
-    shift = V.parameters[LASER_X] if len(V.parameters) == PARAMETERS else 0.0
     centre, theta = view.centre.take(segments, axis=0), view.theta.take(segments)
     c, s = np.cos(theta), np.sin(theta)
     R_r_l = np.empty((k, 3))
     R_r_l[:, :2], R_r_l[:, 2] = centre, theta
-    R_r_l[:, 0] += shift
     C = np.zeros((k, 3, 3))
     C[:, 0, 0] = np.square(np.maximum(0.5 * view.length.take(segments), 0.5))
     C[:, 1, 1], C[:, 2, 2] = view.var_y.take(segments), view.var_theta.take(segments)
-    by_parameters = np.zeros((k, 3, len(V.parameters)))
-    if len(V.parameters) == PARAMETERS:
-        by_parameters[:, 0, LASER_X], by_parameters[:, 1, LASER_X] = c, -s
-    V = add_objects(V, R_r_l, C, by_parameters)
+    V = add_objects(V, R_r_l, C)
     from_centre = view.ends.take(segments, axis=0) - centre[:, None]
     along = c[:, None] * from_centre[..., 0] + s[:, None] * from_centre[..., 1]
     new = Features(
@@ -141,8 +135,6 @@ def add_ends(
     along = u @ row
     A = np.zeros((k, 3, start + 3 * k))
     A[:, :, :3] = along @ V.invariant_D_error(V.robot)
-    if len(V.parameters) == PARAMETERS:
-        A[:, :, 3 + LASER_X] = u[:, :, 0] * np.cos(X[:, 2] - V.robot[2])[:, None]
     across = (np.eye(3) - along) @ V.invariant_D_error(X_w)
     for i in range(k):
         A[i, :, start + 3 * i : start + 3 * i + 3] = across[i]

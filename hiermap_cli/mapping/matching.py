@@ -17,10 +17,10 @@ from hiermap_cli.estimation.constraint import predicted
 from hiermap_cli.mapping.area_map import WALL
 from hiermap_cli.mapping.sighting import (
     Frames,
-    Laser,
     Matches,
     Seen,
     Sighting,
+    Viewpoint,
     match_rows,
     object_frames,
 )
@@ -149,14 +149,14 @@ def within_reach(
     f = area.features
     walls = (f.kind == WALL).nonzero()[0]
     F = frames.select(walls)
-    laser = Laser.of(area.V)
-    # The laser along and aside of each wall, the segments along and aside of the laser.
-    place = F.local(laser.place)
+    viewpoint = Viewpoint.of(area.V)
+    # The robot along and aside of each wall, the segments along and aside of the robot.
+    place = F.local(viewpoint.place)
     unturn = seen.direction.conj()
     along, aside = (unturn[:, None] * seen.ends).real, (unturn * seen.centre).imag
     lo, hi = f.lo.take(walls) - place.real, f.hi.take(walls) - place.real
     gap = np.maximum(lo - along[:, 1:], along[:, :1] - hi)
-    facing = (seen.direction[:, None] * (laser.turn * F.unturn)).real
+    facing = (seen.direction[:, None] * (viewpoint.turn * F.unturn)).real
     reached = facing > math.cos(config.max_angle)
     reached &= np.abs(aside[:, None] + place.imag) < config.max_offset
     reached &= gap < config.max_gap

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.motion import LASER_X, PARAMETERS
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import WALL
 
@@ -117,9 +116,6 @@ def relocate(
     pose = poses[best].copy()
     pose[:2] = np.median(poses[same, :2], axis=0)
     pose[2] += np.median(se2.wrap(poses[same, 2] - poses[best, 2]))
-    # The hypotheses are of where the laser is: the robot is behind it, as it is now known to face.
-    laser_x = float(area.V.parameters[LASER_X]) if len(area.V.parameters) == PARAMETERS else 0.0
-    pose = se2.compose(pose, np.array([-laser_x, 0.0, 0.0]))
     found = Hypothesis(pose, float(score[best]), total, second)
     clear = (
         found.explained >= config.min_share * total and second <= config.second * found.explained

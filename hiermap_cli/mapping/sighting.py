@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.estimation.constraint import Rows
-from hiermap_cli.estimation.motion import LASER_X, PARAMETERS
 from hiermap_cli.geometry.points import planar, turning
 
 if TYPE_CHECKING:
@@ -64,30 +63,17 @@ def object_frames(V: StochasticMap, objects: Index | None = None) -> Frames:
     return Frames(table)
 
 
-class Laser(NamedTuple):
-    """Where the laser is in the area: `x + i y` and `exp(i theta)`.
-
-    Segments are given with the nominal mount; the laser's x error moves them along the robot's
-    X axis, so that the pose for measuring is `R_r (laser_x, 0, 0)`.
-    """
+class Viewpoint(NamedTuple):
+    """Where the robot is in the area, from which a scan is seen: `x + i y` and `exp(i theta)`."""
 
     place: complex
     turn: complex
 
     @classmethod
-    def of(cls, V: StochasticMap) -> Laser:
+    def of(cls, V: StochasticMap) -> Viewpoint:
         """As V has it."""
-        x, y, theta = measuring_pose(V).tolist()
+        x, y, theta = V.robot.tolist()
         return cls(complex(x, y), complex(math.cos(theta), math.sin(theta)))
-
-
-def measuring_pose(V: StochasticMap) -> Array:
-    """The robot's pose moved by the estimated error of the laser's x, (3,)."""
-    if len(V.parameters) != PARAMETERS:
-        return V.robot
-    x, y, theta = V.robot.tolist()
-    shift = float(V.parameters[LASER_X])
-    return np.array([x + math.cos(theta) * shift, y + math.sin(theta) * shift, theta])
 
 
 class Matches(NamedTuple):
@@ -109,7 +95,7 @@ class Matches(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """The s segments of a view in complex numbers, seen from the laser.
+    """The s segments of a view in complex numbers, seen from the robot.
 
     centre: (s,). direction: (s,) `exp(i theta)`. ends: (s, 2).
     """
@@ -128,7 +114,7 @@ class Sighting(NamedTuple):
     """Matched segments and ends, and the frames of their objects.
 
     frames: of the a walls, then of the b ends. point: (a + b,) the segments' centres, then the
-    ends, and direction: (a,) of the segments, seen from the laser.
+    ends, and direction: (a,) of the segments, seen from the robot.
     """
 
     frames: Frames
@@ -152,15 +138,15 @@ class Sighting(NamedTuple):
             self.frames.select(which), self.point.take(which), self.direction.take(pairs)
         )
 
-    def from_objects(self, laser: Laser) -> tuple[Complex, Complex]:
+    def from_objects(self, viewpoint: Viewpoint) -> tuple[Complex, Complex]:
         """Points (a + b,) and directions (a,) as they lie in the frames of their objects."""
         origin, unturn = self.frames.table
-        point = (self.point * laser.turn + laser.place - origin) * unturn
-        return point, self.direction * unturn[: len(self.direction)] * laser.turn
+        point = (self.point * viewpoint.turn + viewpoint.place - origin) * unturn
+        return point, self.direction * unturn[: len(self.direction)] * viewpoint.turn
 
-    def innovations(self, laser: Laser) -> Array:
+    def innovations(self, viewpoint: Viewpoint) -> Array:
         """Of matched segments (y, theta at the wall's origin), then of ends (x), (2 a + b,)."""
-        return _innovations(*self.from_objects(laser))
+        return _innovations(*self.from_objects(viewpoint))
 
 
 def _innovations(point: Complex, direction: Complex) -> Array:
@@ -183,8 +169,8 @@ def match_rows(
     """
     a, b = len(matches.wall), len(matches.end)
     k = 2 * a + b
-    laser = Laser.of(V)
-    point, direction = sighting.from_objects(laser)
+    viewpoint = Viewpoint.of(V)
+    point, direction = sighting.from_objects(viewpoint)
     origin, unturn = sighting.frames.table
     # Rows of Ad(X_l^-1): of walls y and theta, of ends x.
     H = np.zeros((k, 3))
@@ -195,17 +181,11 @@ def match_rows(
     H_theta[1 : 2 * a : 2] = 1.0
     H_xy[2 * a :] = turn[a:]
     np.negative(foot.imag[a:], out=H_theta[2 * a :])
-    H_parameters = np.zeros((k, len(V.parameters)))
-    if len(V.parameters) == PARAMETERS:
-        ahead = laser.turn * unturn  # the robot's X axis seen from the objects
-        of_laser = H_parameters[:, LASER_X]
-        np.negative(ahead.imag[:a], out=of_laser[0 : 2 * a : 2])
-        np.negative(ahead.real[a:], out=of_laser[2 * a :])
     pose = np.empty(k, dtype=np.int64)
     pose[0 : 2 * a : 2] = pose[1 : 2 * a : 2] = matches.wall
     pose[2 * a :] = matches.end
     pose += 1
-    rows = Rows(_innovations(point, direction), pose, H, H_parameters)
+    rows = Rows(_innovations(point, direction), pose, H, np.zeros((k, len(V.parameters))))
     return rows, _match_noise(point.real[:a], view, matches)
 
 

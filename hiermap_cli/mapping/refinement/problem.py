@@ -4,9 +4,6 @@ Errors are small steps: of a key pose `X <- X exp(xi)` in the robot's frame, of 
 b along its normal and its turn phi about its origin, of an end its place x along its wall. The
 residuals are those of the filter: where a segment lies across its wall and how it is turned
 against it, where an end lies along it, and what the odometry says of two key scans on end.
-
-The robot's frame is the one from which the log's mount leads to the laser; the point about which
-odometry turns lies `laser_x` behind it, as far as that mount is wrong.
 """
 
 from __future__ import annotations
@@ -15,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.motion import LASER_X, PARAMETERS
+from hiermap_cli.estimation.motion import PARAMETERS
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.refinement.odometry import motions
 
@@ -229,10 +226,7 @@ def odometry_terms(
     would be in the regressor too, and make the scale too small (errors in variables).
     """
     where = layout(state)
-    # Of the point about which odometry turns: L D L^-1.
-    D = se2.between(state.poses[:-1], state.poses[1:])
-    L = np.array([state.parameters[LASER_X], 0.0, 0.0])
-    step = se2.compose(se2.compose(L, D), se2.invert(L))
+    step = se2.between(state.poses[:-1], state.poses[1:])
     told = keyscans.increments[1:]
     n = len(step)
     M = motions(told, state.parameters, config)
@@ -240,16 +234,13 @@ def odometry_terms(
     made = motions(uncalibrated(step, told, state.parameters), state.parameters, config)
     Q = factor * made.covariance
     by_parameters = made.by_parameters
-    Ad_L = se2.adjoint(L)
-    turned = Ad_L @ (se2.adjoint(se2.invert(D)) - np.eye(3))
-    by_parameters[:, :, LASER_X] = -turned[:, :, 0]
     failed = ~keyscans.trusted[1:]
     if failed.any():
         spread = np.square([config.fault_sigma_xy, config.fault_sigma_xy, config.fault_sigma_theta])
         Q[failed] += np.diag(spread)
         by_parameters[failed] = 0.0
     J = np.concatenate(
-        (-se2.adjoint(se2.invert(step)) @ Ad_L, np.broadcast_to(Ad_L, (n, 3, 3)), -by_parameters),
+        (-se2.adjoint(se2.invert(step)), np.broadcast_to(np.eye(3), (n, 3, 3)), -by_parameters),
         axis=2,
     )
     i = np.arange(n)
@@ -269,9 +260,11 @@ def uncalibrated(step: Array, told: Array, parameters: Array) -> Array:
     A step that is much shorter than what was told is no better a measure of the noise than the
     half of it.
     """
-    a, b, c = parameters[:3]
+    a, b, c, lever = parameters
     turn = step[:, 2]
-    dx, dy = step[:, 0] / (1.0 + a), step[:, 1] / (1.0 + a)
+    # Of the point about which odometry turns.
+    dx = (step[:, 0] - lever * (np.cos(turn) - 1.0)) / (1.0 + a)
+    dy = (step[:, 1] - lever * np.sin(turn)) / (1.0 + a)
     chord_x, chord_y = dx, dy
     dtheta = turn
     for _ in range(4):  # the chord is turned by half of what calibration adds to the turn

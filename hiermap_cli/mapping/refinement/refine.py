@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.motion import LASER_X
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR
 from hiermap_cli.mapping.levels import Levels, change_frame, door_frames
@@ -61,10 +60,8 @@ def refine(mapper: Mapper, levels: Levels) -> Refined:
     """
     config, keyscans = mapper.config, mapper.keyscans.taken()
     parameters = mapper.area.V.parameters.copy()
-    L = np.array([parameters[LASER_X], 0.0, 0.0])
-    poses = se2.compose(levels.trajectory.poses[np.array(mapper.trail.key_at)], L)
+    poses = levels.trajectory.poses[np.array(mapper.trail.key_at)]
     start = np.array(config.start_pose)
-    poses = se2.compose(start, se2.between(poses[0], poses))
     loops = close_loops(keyscans, poses, config, mapper.noise)
     poses = se2.compose(start, se2.between(loops.poses[0], loops.poses))
     nothing = np.zeros(0, dtype=np.int64)

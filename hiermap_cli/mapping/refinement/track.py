@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiermap_cli.estimation.motion import LASER_X
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.model import Trajectory
 from hiermap_cli.mapping.refinement.odometry import motions
@@ -46,16 +45,12 @@ def whole_trajectory(mapper: Mapper, solution: Solution) -> tuple[Trajectory, Ar
     K, n = len(key_at), len(stamps)
     base = np.searchsorted(key_at, np.arange(n), side="right") - 1
     after = np.minimum(base + 1, K - 1)
-    L = np.array([state.parameters[LASER_X], 0.0, 0.0])
     told = np.asarray(mapper.trail.increments)
     carried = motions(told, state.parameters, config)
     steps = motions(mapper.keyscans.taken().increments, state.parameters, config)
 
-    def of_robot(A: Array) -> Array:
-        return se2.compose(se2.compose(se2.invert(L), A), L)
-
-    X = se2.compose(state.poses[base], of_robot(carried.pose))
-    reached = se2.compose(state.poses[base], of_robot(steps.pose[after]))
+    X = se2.compose(state.poses[base], carried.pose)
+    reached = se2.compose(state.poses[base], steps.pose[after])
     rest = se2.log(se2.compose(state.poses[after], se2.invert(reached)))
     f = _progress(told) / np.maximum(_progress(steps.pose[after]), 1e-9)
     f = np.clip(f, 0.0, 1.0)
