@@ -111,6 +111,21 @@ def test_where_the_filter_leaves_the_odometry_the_step_is_broken(drive):
     assert np.flatnonzero(steps.broken).tolist() == [40]
 
 
+def test_a_filter_that_has_leapt_may_be_wrong_by_as_much(drive):
+    k = 40
+    poses = drive.poses.copy()
+    leap = np.array([6.0, -3.0, 2.0])
+    poses[k:] = se2.compose(se2.compose(poses[k - 1], leap), se2.between(poses[k - 1], poses[k:]))
+    steps = steps_of(drive.keyscans, poses, Config(), NoiseScale())
+    assert np.flatnonzero(steps.leapt).tolist() == [k]
+    fragments = fragments_of(drive.keyscans, poses, steps.broken, LOOPS)
+    edges = chain(fragments, poses, steps, Config(), NoiseScale())
+    (over,) = np.flatnonzero((fragments.centre[:-1] < k) & (fragments.centre[1:] >= k))
+    assert np.sqrt(edges.C_i_j[over, [0, 1, 2], [0, 1, 2]]).min() > 2.0
+    others = np.delete(np.sqrt(edges.C_i_j[:, 2, 2]), over)
+    assert others.max() < 0.3
+
+
 def test_walls_that_both_see_hold_a_fragment_but_not_along_a_blank_corridor(parts):
     steps, fragments, edges = parts
     assert not broken_between(fragments, steps).any()

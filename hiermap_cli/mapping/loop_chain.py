@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Mask = NDArray[np.bool_]
 
+LEAP = 4.0  # sigmas of a fault that an odometry may have
 LEAST_UNEVEN = 0.04  # of the factor on the variance of the walls' unevenness
 
 
@@ -35,11 +36,14 @@ class Steps(NamedTuple):
     """The K steps that led to the key scans.
 
     covariance: (K, 3, 3) of the odometry, in the robot's frame after the step. broken: (K,)
-    where the odometry has failed, or the filter has not gone where it led.
+    where the odometry has failed, or the filter has not gone where it led. leapt: (K,) where the
+    filter has gone so far from there that no fault of the odometry explains it: it has found
+    itself elsewhere, and may be wrong by as much.
     """
 
     covariance: Array
     broken: Mask
+    leapt: Mask
 
 
 def steps_of(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseScale) -> Steps:
@@ -55,7 +59,13 @@ def steps_of(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseScale
     broken[0] = False
     fault = np.square([c.fault_sigma_xy, c.fault_sigma_xy, c.fault_sigma_theta])
     Q[broken] += np.diag(fault)
-    return Steps(Q, broken)
+    distance = np.concatenate(([0.0], np.hypot(off[:, 0], off[:, 1])))
+    turn = np.concatenate(([0.0], np.abs(off[:, 2])))
+    leapt = (distance > LEAP * c.fault_sigma_xy) | (turn > LEAP * c.fault_sigma_theta)
+    leapt &= broken
+    Q[leapt, [[0], [1]], [[0], [1]]] += np.square(distance[leapt])
+    Q[leapt, 2, 2] += np.square(turn[leapt])
+    return Steps(Q, broken, leapt)
 
 
 def step_noise(keyscans: KeyScans, config: Config, noise: NoiseScale) -> Array:
@@ -100,6 +110,7 @@ def chain(
         asked = Candidates(i, j, R, np.zeros((n - 1, 3, 3)))
         pairs = correspondences(fragments.walls, asked, c)
         seen = evidence(fragments.walls, pairs, n - 1, i, R, c).information
+        seen[_between(fragments, steps.leapt)] = 0.0
         C = np.asarray(np.linalg.inv(np.linalg.inv(C) + seen), dtype=float)
     uneven = max(noise.walls, LEAST_UNEVEN)
     sound = uneven * np.square([c.chain_floor, c.chain_floor, c.chain_floor_angle])
@@ -112,8 +123,11 @@ def chain(
 
 def broken_between(fragments: Fragments, steps: Steps) -> Mask:
     """Whether a step is broken between the middles of a fragment and the next one, (F - 1,)."""
-    count = np.cumsum(steps.broken)[fragments.centre]
-    return np.asarray(np.diff(count) > 0)
+    return _between(fragments, steps.broken)
+
+
+def _between(fragments: Fragments, steps: Mask) -> Mask:
+    return np.asarray(np.diff(np.cumsum(steps)[fragments.centre]) > 0)
 
 
 def carried(fragments: Fragments, poses: Array, frames: Array, Q: Array) -> Array:

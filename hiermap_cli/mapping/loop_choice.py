@@ -110,6 +110,8 @@ def judge(found: Found, ways: Ways, config: LoopConfig) -> Verdict:
         np.maximum.at(spread, x, _spread(loops, ways, e[apart], f[apart]))
     clear = (second < config.second) & (rival < config.second * support)
     sigma = np.sqrt(position_variance(known, loops.R_i_j))
+    # Where the gate is cut off, the true place may lie beyond it.
+    clear &= sigma < config.max_shift
     borne = (witnesses > 0) & clean & clear
     return Verdict(
         sure=near & clear,
