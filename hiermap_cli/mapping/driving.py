@@ -119,9 +119,8 @@ class Driving:
             increment[2]
         ) < max(c.max_turn_rate * seconds, 0.3):
             return False
-        self.stretches.begin(
+        self.stretches.note(
             "odometry_failed", last_ns, stamp_ns, area=f"A{number + 1}",
             increment=increment.tolist(),
         )  # fmt: skip
-        self.stretches.end("odometry_failed")
         return True

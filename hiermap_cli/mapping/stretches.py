@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from hiermap_cli.mapping.model import Event
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-ODOMETRY = ("odometry_reversed", "odometry_missing", "odometry_failed")
 
 
 @dataclass(slots=True)
@@ -33,14 +27,18 @@ class Stretches:
         span = {"begin": begin_ns / 1e9, "end": end_ns / 1e9}
         self.events.append(Event(begin_ns, kind, {**details, **span}))
 
-    def extend(self, kind: str, end_ns: int, more: Mapping[str, object] | None = None) -> None:
+    def note(self, kind: str, begin_ns: int, end_ns: int, **details: object) -> None:
+        """A stretch that is over as it is noticed, at its end."""
+        span = {"begin": begin_ns / 1e9, "end": end_ns / 1e9}
+        self.events.append(Event(end_ns, kind, {**details, **span}))
+
+    def extend(self, kind: str, end_ns: int) -> None:
         """An open stretch lasts at least until then; nothing where none is open."""
         at = self._open.get(kind)
         if at is not None:
             event = self.events[at]
             end = max(end_ns / 1e9, event.stamp_ns / 1e9)
-            details = {**event.details, **(more or {}), "end": end}
-            self.events[at] = Event(event.stamp_ns, kind, details)
+            self.events[at] = Event(event.stamp_ns, kind, {**event.details, "end": end})
 
     def end(self, kind: str, end_ns: int | None = None) -> None:
         """A stretch is over: then, or when it was last known to last."""
