@@ -1,0 +1,159 @@
+"""Which loops are believed: no one on one witness, the surest first, the unlikely last."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hiermap_cli.config import Config
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.loop_choice import judge
+from hiermap_cli.mapping.loop_evidence import Evidence
+from hiermap_cli.mapping.loop_found import Found
+from hiermap_cli.mapping.loop_graph import Edges, joined, ways
+
+LOOPS = Config().loops
+
+
+def loops_of(net, pairs, shift, C):
+    """Loops between fragments that ask for a shift of the later one in its own frame."""
+    i, j = (np.array(column) for column in zip(*pairs, strict=True))
+    R = se2.compose(
+        se2.compose(net.frames[i], np.zeros(3)), se2.between(net.frames[i], net.frames[j])
+    )
+    R = se2.between(net.frames[i], se2.compose(np.array(shift), net.frames[j]))
+    return Edges(i, j, R, np.repeat(C[None], len(i), axis=0))
+
+
+@pytest.fixture
+def long_way():
+    """Sixty fragments there and back along a line: the ends know little of each other."""
+    x = np.concatenate((np.arange(30) * 5.0, np.arange(30)[::-1] * 5.0))
+    frames = np.column_stack((x, np.zeros(60), np.repeat([0.0, np.pi], 30)))
+    C = np.repeat(np.diag([0.01, 0.01, 1e-4])[None], 59, axis=0)
+    path = Edges(np.arange(59), np.arange(1, 60), se2.between(frames[:-1], frames[1:]), C)
+    return ways(frames, path)
+
+
+TIGHT = np.diag([0.003, 0.003, 1e-4])
+
+
+def verdict_of(loops, net, **found):
+    n = len(loops.i)
+
+    def column(name, default):
+        return np.array(found.get(name, [default] * n))
+
+    evidence = Evidence(
+        column("overlap", 10.0), column("cross", 3.0), column("walls", 5), column("pairs", 2),
+        np.zeros((n, 3, 3)),
+    )  # fmt: skip
+    zero = np.zeros(n)
+    found = Found(loops, evidence, column("second", 0.0), zero, column("crossing", 0.0))
+    return judge(found, net, LOOPS)
+
+
+def believed(verdict):
+    none = np.zeros(len(verdict.sure), dtype=bool)
+    return verdict.believed(none, none, LOOPS)
+
+
+def test_no_loop_is_closed_on_one_witness(long_way):
+    one = loops_of(long_way, [(2, 57)], (0.5, 0.3, 0.0), TIGHT)
+    assert not believed(verdict_of(one, long_way)).any()
+
+
+def test_a_second_witness_closes_both(long_way):
+    two = loops_of(long_way, [(2, 57), (3, 56)], (0.5, 0.3, 0.0), TIGHT)
+    verdict = verdict_of(two, long_way)
+    assert believed(verdict).all()
+    assert verdict.witnesses.tolist() == [1, 1]
+    assert verdict.support.tolist() == [20.0, 20.0]
+
+
+def test_a_loop_of_the_same_fragment_is_no_second_witness(long_way):
+    two = loops_of(long_way, [(2, 57), (2, 56)], (0.5, 0.3, 0.0), TIGHT)
+    assert not believed(verdict_of(two, long_way)).any()
+
+
+def test_witnesses_that_ask_for_something_else_are_none(long_way):
+    a = loops_of(long_way, [(2, 57)], (0.5, 0.3, 0.0), TIGHT)
+    b = loops_of(long_way, [(3, 56)], (-1.5, 0.3, 0.0), TIGHT)
+    verdict = verdict_of(joined((a, b)), long_way)
+    assert not believed(verdict).any()
+    assert verdict.rival.tolist() == [10.0, 10.0]
+
+
+def test_two_corrections_with_as_much_to_say_wait_both(long_way):
+    a = loops_of(long_way, [(2, 57), (3, 56)], (0.5, 0.3, 0.0), TIGHT)
+    b = loops_of(long_way, [(2, 56), (3, 57)], (-1.5, 0.3, 0.0), TIGHT)
+    both = joined((a, b))
+    assert not believed(verdict_of(both, long_way)).any()
+    verdict = verdict_of(both, long_way, overlap=[20.0, 20.0, 5.0, 5.0])
+    assert believed(verdict).tolist() == [True, True, False, False]
+
+
+def test_a_loop_with_a_second_place_about_as_good_waits(long_way):
+    two = loops_of(long_way, [(2, 57), (3, 56)], (0.5, 0.3, 0.0), TIGHT)
+    verdict = verdict_of(two, long_way, second=[0.9, 0.1])
+    assert believed(verdict).tolist() == [False, True]
+
+
+def test_loops_that_agree_on_something_unlikely_wait(long_way):
+    sigma = np.sqrt(long_way.relative(np.array([2]), np.array([57]))[0, 0, 0])
+    two = loops_of(long_way, [(2, 57), (3, 56)], (2.6 * sigma, 0.0, 0.0), TIGHT)
+    assert not believed(verdict_of(two, long_way)).any()
+
+
+def test_a_way_known_well_is_a_witness_itself(long_way):
+    one = loops_of(long_way, [(28, 31)], (0.05, 0.0, 0.0), TIGHT)
+    assert believed(verdict_of(one, long_way)).all()
+
+
+def test_who_has_seen_through_walls_is_no_witness(long_way):
+    two = loops_of(long_way, [(2, 57), (3, 56)], (0.5, 0.3, 0.0), TIGHT)
+    verdict = verdict_of(two, long_way, crossing=[0.0, 0.15])
+    assert verdict.witnesses.tolist() == [0, 0]
+    assert not believed(verdict).any()
+
+
+def test_what_is_unlikely_is_believed_last_and_only_of_loops_far_apart(long_way):
+    sigma = np.sqrt(long_way.relative(np.array([2]), np.array([57]))[0, 0, 0])
+    shift = (2.6 * sigma, 0.0, 0.0)
+    unlikely = loops_of(long_way, [(2, 57), (5, 54)], shift, TIGHT)
+    verdict = verdict_of(unlikely, long_way)
+    assert not (verdict.sure | verdict.borne).any()
+    assert verdict.last.all()
+    assert believed(verdict).all()
+    # While there is anything likelier left it waits.
+    likely = loops_of(long_way, [(20, 39), (21, 38)], (0.1, 0.0, 0.0), TIGHT)
+    verdict = verdict_of(joined((unlikely, likely)), long_way)
+    assert believed(verdict).tolist() == [False, False, True, True]
+
+
+def test_the_surest_loops_are_closed_first(long_way):
+    far = loops_of(long_way, [(2, 57), (3, 56)], (0.3, 0.1, 0.0), TIGHT)
+    near = loops_of(long_way, [(24, 35), (25, 34)], (0.1, 0.0, 0.0), TIGHT)
+    verdict = verdict_of(joined((far, near)), long_way)
+    assert verdict.borne[:2].all()
+    assert believed(verdict).tolist() == [False, False, True, True]
+    closed = np.array([False, False, True, True])
+    assert verdict.believed(closed, np.zeros(4, dtype=bool), LOOPS).all()
+
+
+def test_what_was_refused_is_not_believed_again(long_way):
+    two = loops_of(long_way, [(2, 57), (3, 56)], (0.5, 0.3, 0.0), TIGHT)
+    verdict = verdict_of(two, long_way)
+    refused = np.array([True, True])
+    assert not verdict.believed(~refused, refused, LOOPS).any()
+
+
+def test_several_constellations_in_one_loop_need_no_witness_where_they_are_expected(long_way):
+    strong = {"pairs": [5], "cross": [12.0], "overlap": [30.0]}
+    one = loops_of(long_way, [(2, 57)], (0.5, 0.3, 0.0), TIGHT)
+    assert believed(verdict_of(one, long_way, **strong)).all()
+    assert not believed(verdict_of(one, long_way, **{**strong, "pairs": [2]})).any()
+    assert not believed(verdict_of(one, long_way, **strong, second=[0.6])).any()
+    sigma = np.sqrt(long_way.relative(np.array([2]), np.array([57]))[0, 0, 0])
+    off = loops_of(long_way, [(2, 57)], (1.5 * sigma, 0.0, 0.0), TIGHT)
+    assert not believed(verdict_of(off, long_way, **strong)).any()
