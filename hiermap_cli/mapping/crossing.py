@@ -15,6 +15,7 @@ from hiermap_cli.estimation.stochastic_map import (
 )
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap, area_from_here
+from hiermap_cli.mapping.looks import LookRecord
 from hiermap_cli.mapping.lost import Search
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.passages import (
@@ -91,7 +92,8 @@ class Crossings:
     _cut: bool = False
 
     def __post_init__(self) -> None:
-        self.places = Places(self.config.doors.max_width)
+        looks = LookRecord() if self.config.refine.enabled else None
+        self.places = Places(self.config.doors.max_width, looks)
         self._detector = PassageDetector(self.config.doors)
         self._doors = KnownDoors(self.config.doors.hysteresis)
         self._recogniser = Recogniser(self.config)
@@ -105,7 +107,7 @@ class Crossings:
     def step(self, now: Passing) -> int:
         """After a key scan: the area in which the robot is from now on."""
         robot = self.area.V.robot
-        self.trace.add(robot, now.distance, now.sight)
+        self.trace.add(robot, now.distance, now.sight, now.key)
         self.places.look(self.current, self.trace, 2.0 * self.config.doors.reach)
         through = self._doors.gone_through(robot)
         if through is not None:
@@ -143,6 +145,7 @@ class Crossings:
         """
         a, c = self.current, self.config.lost
         self.trace.drop(travelled)
+        self.places.rewind(key)
         self.places.look(a, self.trace, -1.0)
         left, anchor_a = add_anchor(self.area, key - 1)
         self.areas[a] = left

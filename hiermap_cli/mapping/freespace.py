@@ -181,6 +181,7 @@ class FreeGrid:
             return self._about(path, reach).region(path, barriers, width)
         free = self.free()
         at = self._cells(path)
+        free[at[:, 0], at[:, 1]] = True  # whatever beams have ended there: the robot has not
         for segment in barriers:
             cells = self._cells(_along(segment))
             for i, j in ((0, 0), (1, 0), (0, 1)):  # so thick that no diagonal leads through

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -77,21 +77,26 @@ class Passage(NamedTuple):
 
 @dataclass(slots=True)
 class Trace:
-    """The last metres of the path and what was seen from there, in the frame of the area."""
+    """The last metres of the path and what was seen from there, in the frame of the area.
+
+    keys, sights: the key scans, and what they saw in the robot's own frame.
+    """
 
     travelled: list[float] = field(default_factory=list)
     turned: list[float] = field(default_factory=list)
     poses: list[Array] = field(default_factory=list)
     origins: list[Array] = field(default_factory=list)
     ends: list[Array] = field(default_factory=list)
+    keys: list[int] = field(default_factory=list)
+    sights: list[Sight] = field(default_factory=list)
     near: NearEnds = field(default_factory=NearEnds)
     length: float = 0.0
     fresh: int = 0  # of the last scans: not yet taken by `older`
     entered: float = 0.0  # metres of path at which it came into the present area
     _told: tuple[float, float] = (-np.inf, 0.0)
 
-    def add(self, pose: Array, step: float, sight: Sight) -> None:
-        """A scan taken at `pose` (3,), `step` metres of path after the last one."""
+    def add(self, pose: Array, step: float, sight: Sight, key: int = -1) -> None:
+        """Scan number `key` taken at `pose` (3,), `step` metres of path after the last one."""
         self.length += step
         turn_so_far = 0.0
         if self.poses:
@@ -108,15 +113,15 @@ class Trace:
         self.poses.append(pose)
         self.origins.append(origin)
         self.ends.append(ends)
+        self.keys.append(key)
+        self.sights.append(sight)
         self.near.append(self._near(origin, ends, turn_so_far))
         self.fresh += 1
         old = 0
         while self.travelled[old] < self.length - KEPT or len(self.poses) - old > MOST:
             old += 1
         if old:
-            for kept in (
-                self.travelled, self.turned, self.poses, self.origins, self.ends, self.near,
-            ):  # fmt: skip
+            for kept in self._every():
                 del kept[:old]
             self.fresh = min(self.fresh, len(self.poses))
 
@@ -151,10 +156,15 @@ class Trace:
         """Without the scans taken after that many metres of path."""
         keep = bisect_right(self.travelled, after)
         self.fresh = max(self.fresh - (len(self.poses) - keep), 0)
-        for kept in (
-            self.travelled, self.turned, self.poses, self.origins, self.ends, self.near,
-        ):  # fmt: skip
+        for kept in self._every():
             del kept[keep:]
+
+    def _every(self) -> tuple[list[Any] | NearEnds, ...]:
+        """All that is kept for each scan."""
+        return (
+            self.travelled, self.turned, self.poses, self.origins, self.ends, self.keys,
+            self.sights, self.near,
+        )  # fmt: skip
 
     def rays(self, start: float) -> tuple[Array, Array]:
         """Origins and ends (n, 2) of all beams since `start` metres of path."""

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.mapping.looks import LookRecord
     from hiermap_cli.mapping.passages import Trace
     from hiermap_cli.mapping.portals import Portal
 
@@ -70,6 +71,7 @@ class Places:
     """
 
     widest_door: float  # metres
+    looks: LookRecord | None = None  # all that is taken is kept there too
     grids: dict[int, FreeGrid] = field(default_factory=dict)
     paths: dict[int, set[tuple[int, int]]] = field(default_factory=dict)
     ground: dict[int, Ground] = field(default_factory=dict)
@@ -99,6 +101,11 @@ class Places:
             self._take(area, trace, i)
         trace.fresh -= before
 
+    def rewind(self, key: int) -> None:
+        """Key scans from this one on were not seen from where the robot was believed to be."""
+        if self.looks is not None:
+            self.looks.rewind(key)
+
     def _take(self, area: int, trace: Trace, i: int) -> None:
         pose, at = trace.poses[i], trace.travelled[i]
         path = self.paths.setdefault(area, set())
@@ -114,7 +121,10 @@ class Places:
             self.ground[area] = Ground()
         self.ground[area].visit(x, y, at)
         turned = trace.turned[i]
-        if at - self._last[0] < APART and abs(turned - self._last[1]) < APART_ANGLE:
+        near = at - self._last[0] < APART and abs(turned - self._last[1]) < APART_ANGLE
+        if self.looks is not None:
+            self.looks.add(trace.keys[i], area, None if near else trace.sights[i])
+        if near:
             return
         self._last = (at, turned)
         grid = self.grids.setdefault(area, FreeGrid())
