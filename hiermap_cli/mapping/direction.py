@@ -188,7 +188,7 @@ class DirectionWatch:
         best = self._best(told.cost)
         if best is not None and self._convincing(best, told.cost):
             return best
-        if len(step.matches.wall) >= c.sound_share * min(step.offered, MAX_SEGMENTS):
+        if len(step.matches.wall) >= min(c.sound_share * step.offered, MAX_SEGMENTS):
             self._shown += would_show(told)
         if best is not None and self.sign < 0.0 and best.path() > c.max_backward:
             return best
@@ -275,8 +275,7 @@ class DirectionWatch:
     def _suspicious(self, step: Step) -> bool:
         """Whether the walls fit ill enough for a fault to be looked for."""
         c = self.stepper.config.odometry_faults
-        offered = min(step.offered, MAX_SEGMENTS)
-        ill = offered and len(step.matches.wall) < c.poor_share * offered
+        ill = len(step.matches.wall) < min(c.poor_share * step.offered, MAX_SEGMENTS - 1)
         return bool(ill or (step.degrees and step.nis > c.poor_nis * step.degrees))
 
 
