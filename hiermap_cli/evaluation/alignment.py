@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-DISTINCT = 1.25  # what the second best alignment leaves unexplained, over what the best does
+DISTINCT = 1.33  # what the second best alignment leaves unexplained, over what the best does
 AGAINST = 0.07  # share of walls that may stand where the reference is bare
 CLEARLY = 0.1  # nats a metre of wall by which the second best must be worse in any case
 BORNE_OUT = 0.5  # share of walls and of free ground that the reference must bear out

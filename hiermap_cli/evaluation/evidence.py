@@ -87,6 +87,7 @@ def raster_of_reference(reference: ReferenceMap, cell: float = 0.1) -> Raster | 
     if polygons:
         ground = shapely.union_all([shape(polygon) for polygon in polygons])
         x, y = low[0] + (np.arange(width) + 0.5) * cell, low[1] + (np.arange(height) + 0.5) * cell
+        shapely.prepare(ground)
         free = shapely.contains_xy(ground, *np.meshgrid(x, y))
     bare = len(solid_segments(reference)) > 0
     return _raster(low, cell, (height, width), points, headings, free, bare=bare)

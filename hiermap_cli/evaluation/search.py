@@ -32,7 +32,8 @@ APART, TURNED = 1.0, math.radians(10.0)  # two alignments that differ by less ar
 _SIGMA, _ANYWHERE = 0.15, 0.1  # metres of a wall beside its place; share of walls without one
 _MIDST = 0.3  # metres from every wall
 _NOT_FREE = 0.2  # likelihood of free ground that is not free in the reference, over that which is
-_MOST = 3000  # points that refine a pose
+_MOST = 2000  # points that refine a pose
+_FINALISTS = 12  # places that are brought to the walls themselves
 _SAME_WAY = math.sin(math.radians(30.0))  # of a wall that is drawn to another
 _CLOSE = 0.1  # metres at which a wall's pull to a line is a quarter
 _ROBUST = 0.15  # metres at which a wall's pull is halved
@@ -59,14 +60,20 @@ def search(model: ModelPoints, raster: Raster) -> list[Candidate]:
     centre = np.concatenate((model.walls, model.free)).mean(axis=0)
     about = model._replace(walls=model.walls - centre, free=model.free - centre)
     rough = [_refined(about, raster, start) for start in _starts(about, raster)]
-    refined = _on_lines(about, raster, rough)
-    found = [Candidate(pose, *fit(about, raster, pose)) for pose in refined]
+    likely = _distinct([Candidate(pose, *fit(about, raster, pose)) for pose in rough])[:_FINALISTS]
+    refined = _on_lines(about, raster, [one.R_t_g for one in likely])
+    kept = _distinct([Candidate(pose, *fit(about, raster, pose)) for pose in refined])
+    # Back from the model's centre to its frame.
+    return [c._replace(R_t_g=_about(c.R_t_g, -centre)) for c in kept]
+
+
+def _distinct(found: list[Candidate]) -> list[Candidate]:
+    """Best first, without those that lie near a better one."""
     kept: list[Candidate] = []
     for one in sorted(found, key=lambda c: c.surprise):
         if all(_differ(one.R_t_g, other.R_t_g) for other in kept):
             kept.append(one)
-    # Back from the model's centre to its frame.
-    return [c._replace(R_t_g=_about(c.R_t_g, -centre)) for c in kept]
+    return kept
 
 
 def _about(pose: Array, shift: Array) -> Array:
