@@ -19,7 +19,6 @@ from batch_cases import (
     summary,
     write_jobs,
 )
-from world_cases import DATASETS
 
 from hiermap_cli.batch import content
 from hiermap_cli.batch.batch import _sorted_out
@@ -98,25 +97,77 @@ def test_a_log_that_moved_with_its_jobs_file_is_not_done_again(finished):
     assert inodes(out) == before
 
 
-@pytest.mark.parametrize("change", ["config", "limits", "trajectory"])
-def test_what_else_decides_a_result_is_part_of_its_key(tmp_path, change):
-    source = DATASETS / "room_corridor"
-    truth = tmp_path / "truth.tum"
-    shutil.copy(source / "truth.tum", truth)
-    entry = {"name": "a", "log": str(source / "log.mcap"), "trajectory": "truth.tum"}
-    jobs = write_jobs(tmp_path / "jobs.yaml", [entry])
-    assert batch(jobs, "-o", tmp_path / "out").returncode == 0
-    before = inodes(tmp_path / "out")
-    if change == "config":
-        (tmp_path / "c.yaml").write_text("input: {end: 20.0}\n")
-        entry["config"] = "c.yaml"
-    elif change == "limits":
-        entry["limits"] = ["ate_rmse<=9"]
-    else:
-        truth.write_text(truth.read_text() + "# the same poses, another content\n")
-    write_jobs(tmp_path / "jobs.yaml", [entry])
-    assert batch(jobs, "-o", tmp_path / "out").returncode == 0
-    assert inodes(tmp_path / "out") != before
+@pytest.fixture(scope="module")
+def judged(made, tmp_path_factory):
+    """A job with a truth and a limit, finished: folder and entry of its jobs file."""
+    folder = tmp_path_factory.mktemp("judged")
+    shutil.copy(made / "log0.log", folder / "a.log")
+    shutil.copy(made / "out" / "log0" / "trajectory.tum", folder / "truth.tum")
+    entry = {"name": "a", "log": "a.log", "trajectory": "truth.tum", "limits": ["ate_rmse<=9"]}
+    done = batch(write_jobs(folder / "jobs.yaml", [entry]), "-o", folder / "out")
+    assert done.returncode == 0, done.stderr
+    return folder, entry
+
+
+@pytest.fixture
+def again(judged, tmp_path):
+    """A copy of it, and what runs it again with changes: the exit status and its row."""
+    shutil.copytree(judged[0], tmp_path / "copy")
+    folder, entry = tmp_path / "copy", judged[1]
+
+    def run(**changes):
+        write_jobs(folder / "jobs.yaml", [{**entry, **changes}])
+        done = batch(folder / "jobs.yaml", "-o", folder / "out")
+        return done.returncode, summary(folder / "out")["a"]
+
+    return folder, run
+
+
+def test_another_configuration_is_another_run(again):
+    folder, run = again
+    before = inodes(folder / "out")
+    (folder / "c.yaml").write_text("segmentation: {min_points: 9}\n")
+    assert run(config="c.yaml")[0] == 0
+    assert inodes(folder / "out") != before
+
+
+def test_other_limits_are_held_by_the_same_run(again):
+    folder, run = again
+    before = inodes(folder / "out")
+    status, row = run(limits=["ate_rmse<=9", "areas>=99"])
+    assert (status, row["status"]) == (3, "limit_missed")
+    assert [one["passed"] for one in row["limits"]] == [True, False]
+    assert set(row["metrics"]) >= {"ate_rmse", "areas"}
+    status, row = run(limits=[], trajectory=None)
+    assert (status, row["status"], row["limits"]) == (0, "done", [])
+    assert "ate_rmse" not in row["metrics"]
+    assert not (folder / "out" / "a" / "eval.json").exists()
+    assert inodes(folder / "out") == before
+    assert leftovers(folder / "out") == []
+
+
+def test_another_truth_judges_the_same_run(again):
+    folder, run = again
+    before = inodes(folder / "out")
+    lines = (folder / "truth.tum").read_text().splitlines()
+    t, x, *rest = lines[-1].split()
+    lines[-1] = " ".join([t, str(float(x) + 1.0), *rest])
+    (folder / "truth.tum").write_text("\n".join(lines) + "\n")
+    _, row = run()
+    assert row["metrics"]["ate_rmse"] > 0.01
+    assert inodes(folder / "out") == before
+
+
+def test_a_truth_that_cannot_be_read_costs_no_run(again):
+    folder, run = again
+    before = inodes(folder / "out")
+    truth = (folder / "truth.tum").read_text()
+    (folder / "truth.tum").write_text("no trajectory\n")
+    status, row = run()
+    assert (status, row["status"]) == (1, "failed")
+    (folder / "truth.tum").write_text(truth)
+    assert run()[0] == 0
+    assert inodes(folder / "out") == before
 
 
 def test_a_comment_in_the_configuration_is_not(tmp_path):

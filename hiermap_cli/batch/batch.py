@@ -7,7 +7,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hiermap_cli.batch.content import fixed_digest, read_record
+from hiermap_cli.batch.content import read_record
 from hiermap_cli.batch.executors import LocalExecutor
 from hiermap_cli.batch.folder_lock import Shard, lock_folder, lock_path, summary_lock
 from hiermap_cli.batch.job import kept_outcome
@@ -143,7 +143,7 @@ def _sorted_out(jobs: Sequence[Job], folder: Path) -> tuple[list[Job], list[Outc
 def _finished_row(job: Job, folder: Path) -> dict[str, Any] | None:
     """The row of a job's result if it is there, of this job, and no file of it was touched."""
     record = None if job.is_remote else read_record(folder / job.name)
-    if record is None or record.fixed != fixed_digest(job):
+    if record is None or not record.is_of(job):
         return None
     try:
         unchanged = all(

@@ -4,7 +4,8 @@ The key is the content of every file that decides the result (log, reference, tr
 relations), the effective configuration, the limits and the version. Contents are hashed once, by
 the worker that reads them anyway, and kept in the result's own job.json with each file's state
 (size, times, inode). The next batch only looks at the states; a file whose state changed is
-hashed again, and a job whose contents are the same is still done.
+hashed again, and a job whose contents are the same is still done. Where only what a run is judged
+by is another, the run is kept and judged again.
 """
 
 from __future__ import annotations
@@ -33,10 +34,18 @@ SETTLED_NS = 3_000_000_000
 State = list[Any]
 
 
-def fixed_digest(job: Job) -> str:
-    """Of all that decides a job's result but the contents of its files."""
-    text = json.dumps([__version__, job.config.digest, job.limits, sorted(job.inputs())])
-    return hashlib.sha256(text.encode()).hexdigest()
+def made_digest(job: Job) -> str:
+    """Of what decides a job's run but the content of its log: version and configuration."""
+    return _digest([__version__, job.config.digest])
+
+
+def judged_digest(job: Job) -> str:
+    """Of what a job's run is judged by, but the contents of the files."""
+    return _digest([list(job.limits), sorted(job.inputs())])
+
+
+def _digest(values: Any) -> str:
+    return hashlib.sha256(json.dumps(values, separators=(",", ":")).encode()).hexdigest()
 
 
 def file_state(path: Path) -> State:
@@ -125,22 +134,43 @@ def look(path: Path, digest: str | None = None) -> Known:
 
 
 class Record:
-    """job.json: what a result was made of, and its row of the summary."""
+    """job.json: what a result was made of, and its row of the summary.
+
+    made, judged: digests of what else decides the run, and the judgement of it. run: what the row
+    tells of the run alone.
+    """
 
     FORMAT = "hiermap-job"
     VERSION = (1, 0)
     NAME = "job.json"
 
-    def __init__(self, fixed: str, inputs: dict[str, Known], row: dict[str, Any]) -> None:
-        self.fixed = fixed
+    def __init__(
+        self,
+        made: str,
+        judged: str,
+        inputs: dict[str, Known],
+        run: dict[str, Any],
+        row: dict[str, Any],
+    ) -> None:
+        self.made = made
+        self.judged = judged
         self.inputs = inputs
+        self.run = run
         self.row = row
 
     @property
     def key(self) -> str:
         """The key: one digest of all."""
         contents = {role: known.sha256 for role, known in sorted(self.inputs.items())}
-        return hashlib.sha256(json.dumps([self.fixed, contents]).encode()).hexdigest()
+        return _digest([self.made, self.judged, contents])
+
+    def is_run_of(self, job: Job) -> bool:
+        """Whether the job's run, if its log has not changed, is this one."""
+        return self.made == made_digest(job)
+
+    def is_of(self, job: Job) -> bool:
+        """Whether the job's result, if no file has changed, is this one."""
+        return self.is_run_of(job) and self.judged == judged_digest(job)
 
     def to_bytes(self) -> bytes:
         """As JSON text."""
@@ -148,8 +178,10 @@ class Record:
             "format": self.FORMAT,
             "version": list(self.VERSION),
             "key": self.key,
-            "fixed": self.fixed,
+            "made": self.made,
+            "judged": self.judged,
             "inputs": {role: known.to_json() for role, known in self.inputs.items()},
+            "run": self.run,
             "row": self.row,
         }
         return pydantic_core.to_json(document, indent=1) + b"\n"
@@ -163,7 +195,13 @@ def read_record(folder: Path) -> Record | None:
         if document["format"] != Record.FORMAT or document["version"][0] != Record.VERSION[0]:
             return None
         inputs = {role: Known.from_json(one) for role, one in document["inputs"].items()}
-        record = Record(document["fixed"], inputs, dict(document["row"]))
+        record = Record(
+            document["made"],
+            document["judged"],
+            inputs,
+            dict(document["run"]),
+            dict(document["row"]),
+        )
         names = set(os.listdir(folder))  # noqa: PTH208 - names alone
         whole = record.key == document["key"] and names.issuperset(record.row["files"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError):

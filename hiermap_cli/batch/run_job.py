@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 import shutil
 import time
@@ -15,8 +16,9 @@ from hiermap_cli.batch.content import (
     Record,
     content_digest,
     file_state,
-    fixed_digest,
+    judged_digest,
     look,
+    made_digest,
     read_record,
 )
 from hiermap_cli.batch.evaluate_run import EVAL, evaluate_run, write_eval
@@ -92,7 +94,7 @@ class _Work:
         """
         job = self._job
         earlier = read_record(self._target)
-        if earlier is not None and earlier.fixed != fixed_digest(job):
+        if earlier is not None and not earlier.is_run_of(job):
             earlier = None
         if not job.is_remote:
             return self._from(Path(job.log), None, earlier)
@@ -117,24 +119,38 @@ class _Work:
         return self._made(log, state)
 
     def _kept(self, earlier: Record, log: Path | None, state: Any) -> Outcome | None:
-        """The earlier result, if it was made of the same contents; `log` None: it is known to be.
+        """The earlier result, if its log had the same content; `log` None: it is known to have.
 
-        The states of the files as they are now are written into its record.
+        The states of the files as they are now are written into its record. Where the run is
+        judged by something else than it was, it is judged again.
         """
         job = self._job
-        now = {}
-        for role, path in job.inputs().items():
-            if role == "log" and log is None:
-                now[role] = earlier.inputs[role]
-                continue
-            now[role] = look(Path(path) if role != "log" or log is None else log)
+        now = {"log": earlier.inputs["log"] if log is None else look(log)}
+        if now["log"].sha256 != earlier.inputs["log"].sha256:
+            return None
         if state is not None:
             now["log"] = Known(now["log"].sha256, state, now["log"].seen_ns)
-        record = Record(earlier.fixed, now, earlier.row)
+        others = {role: Path(path) for role, path in job.inputs().items() if role != "log"}
+        now |= {role: look(path) for role, path in others.items()}
+        judged = judged_digest(job)
+        record = Record(earlier.made, judged, now, earlier.run, earlier.row)
         if record.key != earlier.key:
-            return None
+            return self._judged_again(record)
         _replace(self._target / Record.NAME, record.to_bytes(), self._workshop)
         return kept_outcome(job.name, earlier.row)
+
+    def _judged_again(self, record: Record) -> Outcome:
+        """The earlier run under new limits, or against another truth."""
+        with output_folder(
+            self._target, force=True, marks=MARKS, workshop=self._workshop
+        ) as folder:
+            for name in record.row["files"]:
+                if name != EVAL:
+                    _same_file(self._target / name, folder / name)
+            row = self._row(record.run, self._evaluated(folder), folder)
+            record = Record(record.made, record.judged, record.inputs, record.run, row)
+            (folder / Record.NAME).write_bytes(record.to_bytes())
+        return kept_outcome(self._job.name, row)._replace(kept=False)
 
     def _made(self, log: Path, state: Any) -> Outcome:
         """The job, done."""
@@ -159,8 +175,9 @@ class _Work:
             if state is not None:
                 before["log"] = state
             inputs = {role: Known(digests[role], before[role], seen_ns) for role in before}
-            row = self._row(run, document, sorted(one.name for one in folder.iterdir()))
-            record = Record(fixed_digest(job), inputs, row)
+            facts = self._facts(run)
+            row = self._row(facts, document, folder)
+            record = Record(made_digest(job), judged_digest(job), inputs, facts, row)
             (folder / Record.NAME).write_bytes(record.to_bytes())
         return kept_outcome(job.name, row)._replace(kept=False)
 
@@ -187,14 +204,24 @@ class _Work:
         write_eval(folder / EVAL, document)
         return document
 
+    def _facts(self, run: RunOutcome) -> dict[str, Any]:
+        """What the row tells of the run alone."""
+        return {
+            "metrics": {metric.name: float(metric.value) for metric in run.metrics},
+            "seconds": time.perf_counter() - self._begin,
+            "peak_memory": peak_bytes(),
+            "scans": run.scans,
+            "warnings": list(run.warnings),
+        }
+
     def _row(
-        self, run: RunOutcome, document: EvalDocument | None, files: list[str]
+        self, facts: dict[str, Any], document: EvalDocument | None, folder: Path
     ) -> dict[str, Any]:
         """The row of summary.json, but for the name; and what the reports beside it show."""
-        values = {metric.name: metric.value for metric in run.metrics}
+        values = dict(facts["metrics"])
         limits: list[dict[str, Any]] = []
         if document is not None:
-            values |= document.values()
+            values |= {name: float(value) for name, value in document.values().items()}
             limits = [
                 {"text": one.text, "value": one.value, "passed": one.passed}
                 for one in document.limits
@@ -203,13 +230,10 @@ class _Work:
         return {
             "status": "limit_missed" if missed else "done",
             "reason": "; ".join(_missed(one) for one in missed) or None,
-            "metrics": {name: float(value) for name, value in values.items()},
-            "seconds": time.perf_counter() - self._begin,
-            "peak_memory": peak_bytes(),
-            "scans": run.scans,
+            **facts,
+            "metrics": values,
             "limits": limits,
-            "warnings": list(run.warnings),
-            "files": files,
+            "files": sorted(one.name for one in folder.iterdir()),
         }
 
 
@@ -218,6 +242,14 @@ def _missed(limit: dict[str, Any]) -> str:
     return f"{limit['text']} is missed: " + (
         f"it is {value:.6g}" if value is not None else "it could not be measured"
     )
+
+
+def _same_file(path: Path, new: Path) -> None:
+    """A second name for a file that nobody writes any more; a copy where there are none."""
+    try:
+        os.link(path, new)
+    except OSError:
+        shutil.copyfile(path, new)
 
 
 def _replace(path: Path, data: bytes, workshop: Path) -> None:

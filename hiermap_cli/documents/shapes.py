@@ -290,8 +290,10 @@ class JobDocument(Shape):
     format: Literal["hiermap-job"]
     version: Version
     key: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-    fixed: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    made: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    judged: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
     inputs: dict[str, JobInput]
+    run: dict[str, Any]
     row: dict[str, Any]
 
 
