@@ -11,6 +11,8 @@ from hiermap_cli.estimation.gaussian import Gain, gain
 from hiermap_cli.estimation.stochastic_map import StochasticMap, corrected
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import END, WALL, AreaMap, Features
+from hiermap_cli.mapping.assembly import assemble
+from hiermap_cli.mapping.levels import compose_levels
 from hiermap_cli.perception.segments import END_OPEN, END_VERTEX
 from hiermap_cli.perception.views import SegmentView
 
@@ -19,11 +21,20 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hiermap_cli.mapping.mapper import Mapper
+    from hiermap_cli.mapping.model import MapResult
+
     Array = NDArray[np.float64]
 
 COORDINATES = ("invariant", "additive")
 UPDATES = ("relocation_fusion", "ekf")
 STEP = 1e-5
+
+
+def assembled(mapper: Mapper) -> MapResult:
+    """The result of the filter alone, as with `--no-refine`."""
+    levels = compose_levels(mapper)
+    return assemble(mapper, levels, levels)
 
 
 def random_covariance(rng: np.random.Generator, n: int, sigma: float = 0.05) -> Array:

@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+from estimation_cases import assembled
 from samples import same
 from world_cases import TWO_ROOMS, world_of
 
@@ -17,7 +18,6 @@ from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.estimation.stochastic_map import corrected
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import AreaMap
-from hiermap_cli.mapping.assembly import assemble
 from hiermap_cli.mapping.mapper import Mapper
 from hiermap_cli.mapping.run import map_log
 from hiermap_cli.simulation.simulator import simulate
@@ -197,10 +197,10 @@ def test_moving_one_landmark_moves_the_robot_the_others_and_the_later_trajectory
     known = len(mapper.trail.stamps_ns)
     results = []
     for one in (mapper, changed):
-        now = assemble(copy.deepcopy(one))
+        now = assembled(copy.deepcopy(one))
         for block in blocks[half:]:
             one.take(block)
-        results.append((now, assemble(one)))
+        results.append((now, assembled(one)))
     (before, end_before), (after, end_after) = results
 
     # At once: the landmark on that wall, its neighbours, and the robot.

@@ -6,6 +6,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from estimation_cases import assembled
 from world_cases import DATASETS, ROOT, TWO_ROOMS, world_of
 
 from hiermap_cli.config import Config
@@ -13,7 +14,6 @@ from hiermap_cli.evaluation.areas import area_metrics, topology_metrics
 from hiermap_cli.evaluation.doors import door_metrics
 from hiermap_cli.evaluation.placed import place
 from hiermap_cli.evaluation.trajectory import ate
-from hiermap_cli.mapping.assembly import assemble
 from hiermap_cli.mapping.mapper import run_filter
 from hiermap_cli.simulation.simulator import simulate
 from hiermap_cli.simulation.world import load_world
@@ -25,7 +25,7 @@ FR079 = ROOT.parent / "shared" / "data" / "fr079"
 def mapped(world, seed=0):
     simulation = simulate(world, np.random.default_rng(seed))
     mapper, _ = run_filter(simulation.blocks(), Config())
-    return simulation, mapper, assemble(mapper)
+    return simulation, mapper, assembled(mapper)
 
 
 def judged(simulation, result):
@@ -115,7 +115,7 @@ def test_a_real_floor_has_most_of_its_areas_and_doors():
     from hiermap_cli.logs.recording import open_recording
 
     recording = open_recording([FR079 / "log.carmen.gz"], Config().input)
-    result = assemble(run_filter(recording.blocks(), Config())[0])
+    result = assembled(run_filter(recording.blocks(), Config())[0])
     truth = read_tum(FR079 / "slam_reference.tum")
     t = result.trajectory
     fit = ate(t.stamps_ns, t.poses, *truth)

@@ -14,14 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from estimation_cases import error_of, gain_of
+from estimation_cases import assembled, error_of, gain_of
 from world_cases import DATASETS
 
 from hiermap_cli.config import Config
 from hiermap_cli.estimation.constraint import Constraint, constrain
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR, END, WALL
-from hiermap_cli.mapping.assembly import assemble
 from hiermap_cli.mapping.mapper import Mapper
 from hiermap_cli.mapping.model import MapResult
 from hiermap_cli.simulation.simulator import simulate
@@ -84,7 +83,7 @@ def driven_on():
         going = copy.deepcopy(mapper)
         for block in blocks()[1][1:]:
             going.take(block)
-        both.append((going, assemble(going)))
+        both.append((going, assembled(going)))
     return both
 
 
@@ -163,7 +162,7 @@ def test_the_document_holds_the_landmarks_where_the_filter_has_them():
     results = []
     for mapper in (before, after):
         finished = copy.deepcopy(mapper)
-        results.append(assemble(finished).model)
+        results.append(assembled(finished).model)
     (one,), (other,) = (model.areas for model in results)
     assert len(one.landmarks) == len(other.landmarks) > 3
     steps = [

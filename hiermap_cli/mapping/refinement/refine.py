@@ -7,13 +7,16 @@ areas are then seen anew in the solution.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR
 from hiermap_cli.mapping.levels import Levels, change_frame, door_frames
+from hiermap_cli.mapping.looks import seen_from
 from hiermap_cli.mapping.loops import LoopResult, close_loops
 from hiermap_cli.mapping.refinement.matches import (
     all_matches,
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from hiermap_cli.mapping.area_map import AreaMap
     from hiermap_cli.mapping.keyscans import KeyScans
     from hiermap_cli.mapping.mapper import Mapper
+    from hiermap_cli.mapping.places import Places
     from hiermap_cli.mapping.refinement.problem import Matched, Noise
     from hiermap_cli.mapping.refinement.smoothing import Solution
 
@@ -43,13 +47,24 @@ if TYPE_CHECKING:
 
 
 class Refined(NamedTuple):
-    """The filter's areas and levels, out of the solution of the whole log."""
+    """The filter's areas and levels, out of the solution of the whole log.
+
+    frames, last: (K,) key scans at which each area's frame lies, and at which the robot was last
+    in it. places: the free space of all areas in their frames, seen from the solution's poses.
+    here, beyond: the area in which the robot is in the end, and the covariance (3, 3) of what
+    odometry adds to its invariant error in g after the last key scan.
+    """
 
     areas: list[AreaMap]
     levels: Levels
     solution: Solution
     matched: Matched
     loops: LoopResult
+    frames: Index
+    last: Index
+    places: Places
+    here: int
+    beyond: Array
 
 
 def refine(mapper: Mapper, levels: Levels) -> Refined:
@@ -73,8 +88,17 @@ def refine(mapper: Mapper, levels: Levels) -> Refined:
     )
     noise = segment_noise(keyscans.segments, config.filter, mapper.noise)
     solution, matched = solve(state, keyscans, noise, mapper.noise.odometry, config)
-    areas, refined = _seen_anew(mapper, keyscans, solution, matched)
-    return Refined(areas, refined, solution, matched, loops)
+    frames = _frame_keys(mapper)
+    last = frames.copy()
+    np.maximum.at(last, keyscans.area, np.arange(len(keyscans.area)))
+    areas, refined, beyond = _seen_anew(mapper, keyscans, solution, matched, frames, last)
+    looks = mapper.crossings.places.looks
+    assert looks is not None
+    poses = solution.state.poses
+    places = seen_from(looks.taken(), poses, poses[frames], config.doors.max_width)
+    return Refined(
+        areas, refined, solution, matched, loops, frames, last, places, mapper.current, beyond
+    )
 
 
 def solve(
@@ -100,12 +124,14 @@ def solve(
 
 
 def _seen_anew(
-    mapper: Mapper, keyscans: KeyScans, solution: Solution, matched: Matched
-) -> tuple[list[AreaMap], Levels]:
+    mapper: Mapper,
+    keyscans: KeyScans,
+    solution: Solution,
+    matched: Matched,
+    frames: Index,
+    last: Index,
+) -> tuple[list[AreaMap], Levels, Array]:
     state, where = solution.state, layout(solution.state)
-    frames = _frame_keys(mapper)
-    last = frames.copy()
-    np.maximum.at(last, keyscans.area, np.arange(len(keyscans.area)))
     least = mapper.config.landmarks.least_seen
     areas = [
         area_map(
@@ -126,7 +152,9 @@ def _seen_anew(
     C = solution.factor.covariance(J, where.pose(keys).ravel())
     trajectory, robot, extra = whole_trajectory(mapper, solution)
     C[:3, :3] += extra
-    return areas, Levels(
+    here = mapper.current
+    areas[here] = with_robot(areas[here], state.poses[frames[here]], robot, extra)
+    refined = Levels(
         maps=tuple(change_frame(area.V, shifts[i]) for i, area in enumerate(areas)),
         frames=se2.compose(state.poses[frames], shifts),
         covariance=C,
@@ -134,6 +162,25 @@ def _seen_anew(
         shifts=shifts,
         trajectory=trajectory,
     )
+    return areas, refined, extra
+
+
+def with_robot(area: AreaMap, frame: Array, robot: Array, extra: Array) -> AreaMap:
+    """The area with the robot where the log ends, after the last key scan.
+
+    frame, robot: (3,) in g. extra: (3, 3) what odometry adds to the robot's invariant error in g.
+    """
+    V = area.V
+    poses, C = V.poses.copy(), V.covariance.copy()
+    poses[0] = se2.between(frame, robot)
+    # Its own error at the key scan stays the same in g, and so in the area.
+    before = V.invariant_D_error(V.poses[0])
+    after = V.error_D_tangent(poses[0]) @ se2.adjoint(se2.invert(poses[0]))
+    C[:3] = after @ before @ C[:3]
+    C[:, :3] = C[:, :3] @ (after @ before).T
+    Ad = after @ se2.adjoint(se2.invert(frame))
+    C[:3, :3] += Ad @ extra @ Ad.T
+    return replace(area, V=replace(V, poses=poses, covariance=symmetrise(C)))
 
 
 def _frame_keys(mapper: Mapper) -> Index:

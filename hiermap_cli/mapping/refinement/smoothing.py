@@ -161,6 +161,7 @@ def smooth(
         if final:
             break
         x = solved.solve()
+        x[:3] = 0.0  # g is where the first pose is: nothing but rounding moves it
         state = stepped(state, x)
         converged = np.abs(x[: where.parameters]).max(initial=0.0) < config.refine.converged
     assert frame is not None
