@@ -76,13 +76,12 @@ class Sums(NamedTuple):
 class InnovationLog:
     """Takes the innovations of each update; `sums` tells of each wall and end of an area."""
 
-    _waiting: list[tuple[int, int, Index, int, Innovation]] = field(default_factory=list)
+    _waiting: list[tuple[int, int, Index, Matches, Innovation]] = field(default_factory=list)
     _sums: dict[tuple[int, int], Array] = field(default_factory=dict)
 
     def add(self, key: int, area: int, uid: Index, matches: Matches, rows: Innovation) -> None:
         """The update of key scan `key` in an area; `uid` (n,) of the area's objects before it."""
-        objects = np.concatenate((matches.wall, matches.end))
-        self._waiting.append((key, area, uid[objects], len(matches.wall), rows))
+        self._waiting.append((key, area, uid, matches, rows))
         if len(self._waiting) >= _EVERY:
             self._sum_up()
 
@@ -92,11 +91,10 @@ class InnovationLog:
         return {uid: Sums(*row.tolist()) for (a, uid), row in self._sums.items() if a == area}
 
     def _sum_up(self) -> None:
-        parts = [_normalised(*one) for one in self._waiting]
-        self._waiting.clear()
-        if not parts:
+        if not self._waiting:
             return
-        rows = np.concatenate(parts)
+        rows = _normalised(self._waiting)
+        self._waiting.clear()
         rows = rows[np.lexsort((rows[:, 0], rows[:, 2], rows[:, 1]))]
         key, who = rows[:, 0], rows[:, 1:3]
         same = np.zeros(len(rows), dtype=bool)
@@ -116,20 +114,33 @@ class InnovationLog:
             self._sums[at] = self._sums[at] + total if at in self._sums else total
 
 
-def _normalised(key: int, area: int, uid: Index, walls: int, rows: Innovation) -> Array:
-    """A row for each wall and end matched, (a + b, 7).
+def _normalised(updates: list[tuple[int, int, Index, Matches, Innovation]]) -> Array:
+    """A row for each wall and end matched in some updates, first all walls, (a + b, 7).
 
     That is key scan, area, uid, degrees, normalised square, and both innovations over their
     deviations, the second of a wall given the first, so that the two are independent.
     """
-    k = 2 * walls
-    y, t = rows.nu[0:k:2], rows.nu[1:k:2]
-    S_yy, S_tt, S_yt = rows.diagonal[0:k:2], rows.diagonal[1:k:2], rows.beside[0:k:2]
-    out = np.zeros((len(uid), 7))
-    out[:, 0], out[:, 1], out[:, 2] = key, area, uid
-    out[:walls, 3], out[walls:, 3] = 2.0, 1.0
-    out[:walls, 5] = y / np.sqrt(S_yy)
-    out[:walls, 6] = (t - S_yt / S_yy * y) / np.sqrt(S_tt - S_yt**2 / S_yy)
-    out[walls:, 5] = rows.nu[k:] / np.sqrt(rows.diagonal[k:])
+    walls = [2 * len(matches.wall) for _, _, _, matches, _ in updates]
+    rows = [innovation for *_, innovation in updates]
+    nu = np.concatenate([one.nu[:k] for one, k in zip(rows, walls, strict=True)])
+    S = np.concatenate([one.diagonal[:k] for one, k in zip(rows, walls, strict=True)])
+    S_yt = np.concatenate([one.beside[:k:2] for one, k in zip(rows, walls, strict=True)])
+    x = np.concatenate([one.nu[k:] for one, k in zip(rows, walls, strict=True)])
+    S_xx = np.concatenate([one.diagonal[k:] for one, k in zip(rows, walls, strict=True)])
+    a = len(nu) // 2
+    out = np.zeros((a + len(x), 7))
+    seen = [(matches.wall, matches.end) for _, _, _, matches, _ in updates]
+    for part, begin in ((0, 0), (1, a)):
+        counts = [len(objects[part]) for objects in seen]
+        end = begin + sum(counts)
+        out[begin:end, 0] = np.repeat([key for key, *_ in updates], counts)
+        out[begin:end, 1] = np.repeat([area for _, area, *_ in updates], counts)
+        uids = [uid[o[part]] for (_, _, uid, _, _), o in zip(updates, seen, strict=True)]
+        out[begin:end, 2] = np.concatenate(uids)
+    y, t, S_yy, S_tt = nu[0::2], nu[1::2], S[0::2], S[1::2]
+    out[:a, 3], out[a:, 3] = 2.0, 1.0
+    out[:a, 5] = y / np.sqrt(S_yy)
+    out[:a, 6] = (t - S_yt / S_yy * y) / np.sqrt(S_tt - S_yt**2 / S_yy)
+    out[a:, 5] = x / np.sqrt(S_xx)
     out[:, 4] = out[:, 5] ** 2 + out[:, 6] ** 2
     return out
