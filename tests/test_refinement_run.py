@@ -10,12 +10,15 @@ import pytest
 from test_refinement_problem import scene
 
 from hiermap_cli.config import Config
+from hiermap_cli.estimation.noise import NoiseScale
 from hiermap_cli.evaluation.consistency import robot_nees
 from hiermap_cli.evaluation.trajectory import ate
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import END, WALL
+from hiermap_cli.mapping.keyscans import ScanSegments
 from hiermap_cli.mapping.levels import compose_levels
 from hiermap_cli.mapping.mapper import run_filter
+from hiermap_cli.mapping.refinement.between import laid_on_walls
 from hiermap_cli.mapping.refinement.matches import (
     Placed,
     fit_walls,
@@ -103,9 +106,7 @@ def test_the_trajectory_is_composed_from_the_levels():
         at = se2.compose(levels.frames[i], V.robot)
         # Where the log ends the robot is farther on than at the last key scan.
         scan = -1 if i == mapper.current else keys[last]
-        np.testing.assert_allclose(
-            se2.between(at, levels.trajectory.poses[scan]), 0.0, atol=1e-9
-        )
+        np.testing.assert_allclose(se2.between(at, levels.trajectory.poses[scan]), 0.0, atol=1e-9)
 
 
 def test_an_areas_covariance_is_the_marginal_of_the_whole():
@@ -180,3 +181,35 @@ def test_a_wall_is_fitted_through_its_segments():
     np.testing.assert_allclose(walls.hi[0] - walls.lo[0], 4.0)
     reached = walls.poses[0, :2] + walls.lo[0] * t
     np.testing.assert_allclose(reached, [3.0, -2.0] - 1.5 * t, atol=1e-12)
+
+
+def test_scans_between_key_scans_are_laid_on_the_walls():
+    """Poses that are thought to be off come back to where the walls have them."""
+    state, keyscans, _, _ = scene(2, keys=12, walls=6)
+    exact = se2.between(
+        state.poses[keyscans.segments.scan], state.walls.poses[keyscans.segments.wall]
+    )
+    along = np.column_stack((np.cos(exact[:, 2]), np.sin(exact[:, 2])))
+    segments = keyscans.segments._replace(
+        centre=exact[:, :2] + 0.3 * along,
+        theta=exact[:, 2],
+        ends=np.stack((exact[:, :2] - 0.4 * along, exact[:, :2] + 0.9 * along), axis=1),
+        length=np.full(len(exact), 1.3),
+    )
+    off = np.random.default_rng(1).normal(0.0, 0.01, state.poses.shape)
+    bridge = np.broadcast_to(np.eye(3) * 0.03**2, (12, 3, 3))
+    thought = se2.compose(state.poses, se2.exp(off))
+    found, left = laid_on_walls(state, thought, bridge, segments, NoiseScale(), Config())
+    before = np.abs(se2.log(se2.between(state.poses, thought))).mean()
+    after = np.abs(se2.log(se2.between(state.poses, found))).mean()
+    assert after < 0.5 * before
+    assert (np.linalg.eigvalsh(bridge + 1e-4 * np.eye(3) - left) > 0.0).all()
+
+
+def test_a_scan_without_walls_stays_where_it_was_thought_to_be():
+    state, keyscans, _, _ = scene(2, keys=3, walls=2)
+    nothing = ScanSegments._make(column[:0] for column in keyscans.segments)
+    bridge = np.broadcast_to(np.eye(3) * 0.02**2, (3, 3, 3))
+    found, left = laid_on_walls(state, state.poses, bridge, nothing, NoiseScale(), Config())
+    np.testing.assert_allclose(found, state.poses, atol=1e-12)
+    np.testing.assert_allclose(left, bridge + 1e-4 * np.eye(3), atol=1e-12)

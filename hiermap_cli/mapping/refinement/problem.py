@@ -288,11 +288,16 @@ def stepped(state: State, x: Array) -> State:
     W[:, 1] += np.cos(W[:, 2]) * walls[:, 0]
     W[:, 2] = se2.wrap(W[:, 2] + walls[:, 1])
     return State(
-        poses=se2.compose(state.poses, se2.exp(x[:first].reshape(-1, 3))),
+        poses=stepped_poses(state.poses, x[:first].reshape(-1, 3)),
         parameters=state.parameters + x[first : first + PARAMETERS],
         walls=state.walls._replace(poses=W),
         ends=state.ends._replace(x=state.ends.x + x[first + PARAMETERS + 2 * where.walls :]),
     )
+
+
+def stepped_poses(poses: Array, xi: Array) -> Array:
+    """Poses (n, 3) after steps (n, 3) in their own frames."""
+    return se2.compose(poses, se2.exp(xi))
 
 
 def _diagonal(weight: Array) -> Array:
