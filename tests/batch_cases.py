@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ import yaml
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-PATIENCE = 30.0  # seconds that a test waits for what must happen soon
+PATIENCE = 60.0  # seconds that a test waits for what must happen soon
 RESULT = {
     "job.json",
     "map.svg",
@@ -136,22 +136,21 @@ def is_alive(pid: int) -> bool:
 
 def reader_of(pipe: Path, process: subprocess.Popen[str]) -> int:
     """The worker that has opened a hanging log; it hangs on, for the pipe is held open here."""
-    held = until(partial(_other_end, pipe), "somebody who reads the pipe")
-    GRIPS.append(held)
-    [pid] = [one for one in children(process.pid) if str(pipe) in open_files(one)]
-    return pid
+    return reader_below(pipe, [process.pid])[0]
 
 
 def reader_below(pipe: Path, parents: list[int]) -> tuple[int, int]:
     """The same for workers of several parents: the reader, and which parent has started it."""
     GRIPS.append(until(partial(_other_end, pipe), "somebody who reads the pipe"))
-    [found] = [
-        (one, parent)
-        for parent in parents
-        for one in children(parent)
-        if str(pipe) in open_files(one)
-    ]
-    return found
+    return until(partial(_found_reader, pipe, parents), "the worker that has opened it")
+
+
+def _found_reader(pipe: Path, parents: list[int]) -> tuple[int, int] | None:
+    for parent in parents:
+        for one in children(parent):
+            if str(pipe) in open_files(one):
+                return one, parent
+    return None
 
 
 GRIPS: list[int] = []  # ends of pipes, held open as long as the tests run
@@ -165,7 +164,12 @@ def _other_end(pipe: Path) -> int | None:
 
 
 def open_files(pid: int) -> set[str]:
-    return {os.readlink(one) for one in Path(f"/proc/{pid}/fd").iterdir()}  # noqa: PTH115
+    """The paths that a process has open; one that closes meanwhile is left out."""
+    found = set()
+    for one in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(OSError):
+            found.add(os.readlink(one))  # noqa: PTH115 - a Path would be made of "pipe:[7]"
+    return found
 
 
 def summary(folder: Path) -> dict[str, dict[str, Any]]:
