@@ -31,7 +31,16 @@ FOLDERS = [
     "geometry",
 ]
 # Modules beside the folders: at the bottom, but for the entry point.
-BOTTOM = ["configtext", "configfile", "faults", "config", "errors", "__init__"]
+BOTTOM = [
+    "configtext",
+    "configfile",
+    "faults",
+    "config",
+    "config_mapping",
+    "config_fields",
+    "errors",
+    "__init__",
+]
 HEAVY = {"numpy", "scipy", "pydantic", "rich", "mcap", "rosbags", "yaml", "shapely", "matplotlib"}
 MAY_TOUCH_THE_DISK = {"logs", "documents", "config", "batch", "commands"}
 
