@@ -96,6 +96,7 @@ def test_the_same_results_as_with_workers_of_our_own(scheduler, tmp_path):
     assert "log0" not in again.stderr
 
 
+@pytest.mark.slow
 def test_limits_hold_on_a_cluster(scheduler, tmp_path):
     small_log(tmp_path / "log0.log")
     hanging_log(tmp_path / "hangs.log")
@@ -109,6 +110,7 @@ def test_limits_hold_on_a_cluster(scheduler, tmp_path):
     assert statuses(tmp_path / "out")["log0"] == "done"
 
 
+@pytest.mark.slow
 def test_no_scheduler_answers(tmp_path):
     jobs = jobs_of(small_logs(tmp_path, 1), tmp_path / "jobs.yaml")
     done = batch(jobs, "-o", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9")

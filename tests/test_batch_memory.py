@@ -35,6 +35,7 @@ def test_a_peak_is_forgotten_when_the_next_job_begins():
     assert peak_bytes() < grown - 100 * MEGABYTE
 
 
+@pytest.mark.slow
 def test_peaks_of_jobs_in_one_worker(tmp_path):
     first, last = small_logs(tmp_path, 2)
     large = small_log(tmp_path / "large.log", turn=5)

@@ -88,6 +88,7 @@ def test_a_log_that_changed_on_its_server_is_done_again(served, tmp_path):
     assert results(tmp_path / "out") != before
 
 
+@pytest.mark.slow
 def test_a_damaged_log_is_called_by_its_address(served, tmp_path):
     folder, address, _ = served
     (folder / "a.log").write_text("no log\n")

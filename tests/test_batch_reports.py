@@ -147,6 +147,7 @@ def test_any_number_of_workers_gives_the_same_bytes(tmp_path):
     assert set(found[0]["log0"]) == set(SAME_BYTES)
 
 
+@pytest.mark.slow
 def test_the_results_of_a_batch_are_those_of_a_run(tmp_path):
     from click.testing import CliRunner
 
@@ -189,6 +190,7 @@ def read_shard(out, label):
     return json.loads((out / f"summary-{label}.json").read_text())["jobs"]
 
 
+@pytest.mark.slow
 def test_shards_at_work_together(tmp_path):
     jobs = jobs_of(small_logs(tmp_path, 6), tmp_path / "jobs.yaml")
     out = tmp_path / "out"
@@ -201,6 +203,7 @@ def test_shards_at_work_together(tmp_path):
     assert [path for path in leftovers(out) if "-of-3" not in path] == []
 
 
+@pytest.mark.slow
 def test_more_shards_than_jobs(tmp_path):
     jobs = jobs_of(small_logs(tmp_path, 1), tmp_path / "jobs.yaml")
     assert batch(jobs, "-o", tmp_path / "out", "--shard", "4/4").returncode == 0

@@ -86,6 +86,7 @@ def test_a_log_that_was_only_touched_is_not_done_again(finished):
     assert inodes(out) == before
 
 
+@pytest.mark.slow
 def test_a_log_that_moved_with_its_jobs_file_is_not_done_again(finished):
     folder, _, out = finished
     before = inodes(out)
@@ -170,6 +171,7 @@ def test_a_truth_that_cannot_be_read_costs_no_run(again):
     assert inodes(folder / "out") == before
 
 
+@pytest.mark.slow
 def test_a_comment_in_the_configuration_is_not(tmp_path):
     log = small_log(tmp_path / "a.log")
     (tmp_path / "c.yaml").write_text("segmentation: {min_points: 6}\n")
@@ -227,6 +229,7 @@ def test_a_damaged_result_is_made_again(finished):
     assert set(results(out)) == {"log0", "log1", "log2"}
 
 
+@pytest.mark.slow
 def test_what_no_batch_has_made_is_never_replaced(tmp_path):
     log = small_log(tmp_path / "a.log")
     jobs = jobs_of([log], tmp_path / "jobs.yaml")
