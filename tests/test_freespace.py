@@ -15,9 +15,8 @@ from hiermap_cli.mapping.freespace import (
     Region,
     closed,
     half_width,
-    outline,
-    simplified,
 )
+from hiermap_cli.mapping.outlines import outline, simplified
 
 
 def ends_in_box(origin, low=(0.0, 0.0), high=(6.0, 4.0), beams=360):

@@ -36,11 +36,18 @@ if TYPE_CHECKING:
     from hiermap_cli.mapping.mapper import Mapper
     from hiermap_cli.mapping.model import LandmarkModel
     from hiermap_cli.mapping.portals import Portal
+    from hiermap_cli.mapping.refinement.refine import Refined
 
     Array = NDArray[np.float64]
 
 
-def assemble(mapper: Mapper, by_filter: Levels, levels: Levels, laser_x: float = 0.0) -> MapResult:
+def assemble(
+    mapper: Mapper,
+    by_filter: Levels,
+    levels: Levels,
+    laser_x: float = 0.0,
+    refined: Refined | None = None,
+) -> MapResult:
     """The three levels and the trajectory of a mapper that has taken in the whole log.
 
     Args:
@@ -48,13 +55,14 @@ def assemble(mapper: Mapper, by_filter: Levels, levels: Levels, laser_x: float =
         by_filter: the levels by the filter alone.
         levels: those of the result.
         laser_x: metres from the robot's origin ahead to the laser, as the log has it.
+        refined: the solution of the whole log, if the levels are of it.
     """
     frames = se2.compose(levels.frames, se2.invert(levels.shifts))
     rooms = decide(
         mapper.areas, mapper.portals, mapper.crossings.places, frames,
-        mapper.config.doors, mapper.config.areas,
+        mapper.config.doors, mapper.config.areas, placed=refined is not None,
     )  # fmt: skip
-    found = find_areas(mapper, levels, rooms)
+    found = find_areas(mapper, levels, rooms, refined)
     doors = _doors(rooms.portals, levels, found)
     areas = tuple(_area(rooms, one, i, doors) for i, one in enumerate(found))
     landmarks = tuple(model for i, one in enumerate(found) for model in _landmarks(one, i))

@@ -16,9 +16,9 @@ from hiermap_cli.mapping.freespace import (
     Region,
     closed,
     half_width,
-    outline,
     wider_than,
 )
+from hiermap_cli.mapping.outlines import outline
 from hiermap_cli.mapping.places import door_barriers
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import AreaConfig
     from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.mapping.common_ground import Bars
     from hiermap_cli.mapping.places import Places
     from hiermap_cli.mapping.rooms import Rooms
 
@@ -59,26 +60,56 @@ def extents(
     areas: Sequence[AreaMap],
     places: Places,
     config: AreaConfig,
+    bars: Bars | None = None,
 ) -> list[Extent]:
     """The extents of all areas, in their frames, in the order of `rooms.parts`.
 
     R_0_p: for each area (k, 3), its parts' frames, in which the filter ran, in its own frame.
-    frames: (n, 3) the areas' frames in g.
+    frames: (n, 3) the areas' frames in g. bars: all doors, where they part every area and not only
+    those that they join.
     """
-    grounds = [
-        _ground(parts, R, rooms, areas, places, config)
-        for parts, R in zip(rooms.parts, R_0_p, strict=True)
-    ]
+    grounds = []
+    for parts, R, frame in zip(rooms.parts, R_0_p, frames, strict=True):
+        grid, way = _seen(parts, R, places)
+        if bars is None:
+            barriers = [
+                _moved(R_0, b)
+                for part, R_0 in zip(parts, R, strict=True)
+                for b in door_barriers(part, areas[part], rooms.portals)
+            ]
+        else:
+            barriers = bars.within(frame, grid.bounds())
+        grounds.append(Ground(grid.region(way, barriers, config.opening).trimmed(), way))
     near = _neighbours(grounds, frames)
-    found = []
-    for i, ground in enumerate(grounds):
-        mask = ground.region.mask.copy()
-        for j in np.flatnonzero(near[i]).tolist():
-            cells = _lost(ground, grounds[j], se2.between(frames[j], frames[i]))
-            mask[cells[:, 0], cells[:, 1]] = False
-        region = closed(Region(mask, ground.region.first), config.furniture)
-        found.append(Extent(outline(region, config.outline), area_kind(region, config)))
-    return found
+    regions = [ground.region for ground in grounds]
+    for _ in range(2):
+        # What is parted from an area in the first round stays the others', who have seen it too.
+        regions = [
+            _own(i, grounds, regions, frames, np.flatnonzero(near[i]).tolist(), config)
+            for i in range(len(grounds))
+        ]
+    return [
+        Extent(outline(region, config.outline), area_kind(region, config)) for region in regions
+    ]
+
+
+def _own(
+    i: int,
+    grounds: Sequence[Ground],
+    regions: Sequence[Region],
+    frames: Array,
+    others: Sequence[int],
+    config: AreaConfig,
+) -> Region:
+    """An area's region without what is another's. regions: where each may be at most."""
+    ground = grounds[i]
+    lost = np.zeros_like(ground.region.mask)
+    for j in others:
+        R = se2.between(frames[j], frames[i])
+        cells = _lost(ground, Ground(regions[j], grounds[j].path), R)
+        lost[cells[:, 0], cells[:, 1]] = True
+    own = Region(ground.region.mask & ~lost, ground.region.first)
+    return closed(own, config.furniture, config.min_area, lost)
 
 
 def _neighbours(grounds: Sequence[Ground], frames: Array) -> NDArray[np.bool_]:
@@ -94,22 +125,14 @@ def _neighbours(grounds: Sequence[Ground], frames: Array) -> NDArray[np.bool_]:
     return np.asarray(near)
 
 
-def _ground(
-    parts: Sequence[int],
-    R_0_p: Array,
-    rooms: Rooms,
-    areas: Sequence[AreaMap],
-    places: Places,
-    config: AreaConfig,
-) -> Ground:
-    grid, path, barriers = FreeGrid(), [], []
+def _seen(parts: Sequence[int], R_0_p: Array, places: Places) -> tuple[FreeGrid, Array]:
+    """The free space and the path (k, 2) of an area's parts, in its frame."""
+    grid, path = FreeGrid(), []
     for part, R in zip(parts, R_0_p, strict=True):
         if part in places.grids:
             grid = grid.joined(places.grids[part].moved(R))
         path.append(_moved(R, places.path(part)))
-        barriers += [_moved(R, b) for b in door_barriers(part, areas[part], rooms.portals)]
-    way = np.concatenate(path)
-    return Ground(grid.region(way, barriers, config.opening).trimmed(), way)
+    return grid, np.concatenate(path)
 
 
 def _lost(ground: Ground, other: Ground, R_other_this: Array) -> NDArray[np.int64]:

@@ -14,6 +14,7 @@ from hiermap_cli.mapping.duplicates import Placed, duplicates, place_draft
 from hiermap_cli.mapping.extents import Extent, extents
 from hiermap_cli.mapping.joining import JoinedArea, join
 from hiermap_cli.mapping.landmarks import Draft, find_landmarks, joint_covariance
+from hiermap_cli.mapping.refinement.rejoin import joined_area
 from hiermap_cli.mapping.walls import at_vertices, wall_lines
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from hiermap_cli.config import LandmarkConfig
     from hiermap_cli.mapping.levels import Levels
     from hiermap_cli.mapping.mapper import Mapper
+    from hiermap_cli.mapping.refinement.refine import Refined
     from hiermap_cli.mapping.rooms import Rooms
 
     Array = NDArray[np.float64]
@@ -72,9 +74,14 @@ class FoundArea(NamedTuple):
         return self.covariance[at : at + 3, at : at + 3]
 
 
-def find_areas(mapper: Mapper, levels: Levels, rooms: Rooms) -> list[FoundArea]:
-    """The areas in the order of `rooms.parts`; landmarks are numbered through them from 1."""
-    every = _all_drafts(mapper, levels, rooms)
+def find_areas(
+    mapper: Mapper, levels: Levels, rooms: Rooms, refined: Refined | None = None
+) -> list[FoundArea]:
+    """The areas in the order of `rooms.parts`; landmarks are numbered through them from 1.
+
+    refined: the solution of the whole log, of which the levels are.
+    """
+    every = _all_drafts(mapper, levels, rooms, refined)
     found: list[FoundArea] = []
     first = 1
     for one, twice in zip(every, _twice(levels, every, mapper.config.landmarks), strict=True):
@@ -96,19 +103,31 @@ def find_areas(mapper: Mapper, levels: Levels, rooms: Rooms) -> list[FoundArea]:
     return found
 
 
-def _all_drafts(mapper: Mapper, levels: Levels, rooms: Rooms) -> list[AreaDrafts]:
-    """Each area with all landmarks that it shows."""
+def _joined(
+    mapper: Mapper, levels: Levels, rooms: Rooms, refined: Refined | None
+) -> list[JoinedArea]:
+    """The areas of `rooms`: out of the solution, or what the filter left of each put together."""
+    if refined is not None:
+        keyscans, least = mapper.keyscans.taken(), mapper.config.landmarks.least_seen
+        return [joined_area(refined, parts, keyscans, least) for parts in rooms.parts]
     maps = [
         AreaMap(V, area.features, area.next_uid)
         for V, area in zip(levels.maps, mapper.areas, strict=True)
     ]
     last_seen = {area: k for k, area in enumerate(mapper.trail.area)}
     last_seen[mapper.current] = len(mapper.trail.area)
-    config = mapper.config.landmarks
-    joined = [
+    return [
         join(maps, rooms.portals, members, max(members, key=lambda p: last_seen.get(p, -1)))
         for members in rooms.parts
     ]
+
+
+def _all_drafts(
+    mapper: Mapper, levels: Levels, rooms: Rooms, refined: Refined | None
+) -> list[AreaDrafts]:
+    """Each area with all landmarks that it shows."""
+    config = mapper.config.landmarks
+    joined = _joined(mapper, levels, rooms, refined)
     where = extents(
         rooms,
         [se2.compose(a.R_0_p, se2.invert(levels.shifts[list(a.parts)])) for a in joined],
@@ -116,6 +135,7 @@ def _all_drafts(mapper: Mapper, levels: Levels, rooms: Rooms) -> list[AreaDrafts
         mapper.areas,
         mapper.crossings.places,
         mapper.config.areas,
+        None if refined is None else rooms.bars,
     )
     every = []
     for area, extent in zip(joined, where, strict=True):

@@ -128,6 +128,10 @@ class FreeGrid:
         """Cells that beams have passed and at most few have ended in, (w, h)."""
         return (self.passed > 0) & (2 * self.ended.astype(np.int64) <= self.passed)
 
+    def bounds(self) -> Array:
+        """The least and greatest x, y (2, 2) that its cells may have, metres."""
+        return CELL * (np.array([(0, 0), self.passed.shape]) + self.first)
+
     def moved(self, R_b_a: Array) -> FreeGrid:
         """The grid in another frame, from which the present one is seen as `R_b_a`."""
         w, h = self.passed.shape
@@ -237,10 +241,12 @@ def _moved(R_b_a: Array, points: Array) -> Array:
     return out
 
 
-def closed(region: Region, gap: float) -> Region:
-    """The largest piece of a region, without its holes.
+def closed(region: Region, gap: float, block: float = np.inf, barred: Mask | None = None) -> Region:
+    """The largest piece of a region, without its small holes.
 
-    Gaps up to `gap` metres wide, as between furniture, are taken for free.
+    Gaps up to `gap` metres wide, as between furniture, are taken for free. A hole wider than that
+    stays one if it is larger than `block` square metres: no furniture, but what an area goes round.
+    barred: cells (w, h) that are none of its own whatever is closed.
     """
     if not region.mask.any():
         return region
@@ -248,8 +254,21 @@ def closed(region: Region, gap: float) -> Region:
     pad = int(radius) + 2
     grid = np.pad(region.mask, pad)
     bridged = grid | raster.shrunk(raster.grown(grid, radius), radius)
-    whole = raster.largest(raster.filled(bridged))
-    return Region(whole, (region.first[0] - pad, region.first[1] - pad))
+    if barred is not None:
+        bridged &= ~np.pad(barred, pad)
+    whole = raster.filled(bridged)
+    holes = raster.pieces(whole & ~bridged)
+    size = np.bincount(holes.ravel()) * CELL**2
+    large = size > block
+    large[0] = False
+    if barred is not None:
+        theirs = np.bincount(holes.ravel(), np.pad(barred, pad).ravel())
+        whole &= ~(2.0 * theirs * CELL**2 > size)[holes] | (holes == 0)
+    if large.any():
+        wide = np.unique(holes[raster.shrunk(large[holes], radius)])
+        blocks = np.isin(holes, wide[wide > 0])
+        whole &= ~blocks
+    return Region(raster.largest(whole), (region.first[0] - pad, region.first[1] - pad))
 
 
 def half_width(region: Region) -> float:
@@ -260,75 +279,3 @@ def half_width(region: Region) -> float:
 def wider_than(region: Region, width: float) -> bool:
     """Whether a circle wider than `width` metres fits into a region."""
     return bool(raster.shrunk(np.pad(region.mask, 1), 0.5 * width / CELL).any())
-
-
-def outline(region: Region, detail: float) -> Array:
-    """The outer boundary (m, 2) of a region of one piece, counterclockwise, in its frame.
-
-    Simplified by `detail` metres; empty, (0, 2), without cells.
-    """
-    if not region.mask.any():
-        return np.zeros((0, 2))
-    return simplified(CELL * (_boundary(region.mask) + np.array(region.first)), detail)
-
-
-def _boundary(mask: Mask) -> Array:
-    """Corners of the cells along the outer boundary of one piece without holes, in order."""
-    i, j = np.nonzero(mask)
-    edges: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    padded = np.pad(mask, 1)
-    # Each side of a cell that has nothing beyond it, run through with the cell on the left.
-    for di, dj, start, stop in (
-        (0, -1, (0, 0), (1, 0)),
-        (1, 0, (1, 0), (1, 1)),
-        (0, 1, (1, 1), (0, 1)),
-        (-1, 0, (0, 1), (0, 0)),
-    ):
-        open_ = ~padded[i + 1 + di, j + 1 + dj]
-        for a, b in zip(i[open_].tolist(), j[open_].tolist(), strict=True):
-            key = (a + start[0], b + start[1])
-            edges.setdefault(key, []).append((a + stop[0], b + stop[1]))
-    first = min(edges)
-    loop, at = [first], edges[first].pop()
-    before = first
-    while at != first:
-        loop.append(at)
-        ways = edges[at]
-        # Where two cells touch at a corner only, turn left: the piece stays one.
-        way = 0
-        if len(ways) > 1:
-            d = (at[0] - before[0], at[1] - before[1])
-            left = (at[0] - d[1], at[1] + d[0])
-            way = ways.index(left) if left in ways else 0
-        before, at = at, ways.pop(way)
-    return np.array(loop, dtype=float)
-
-
-def simplified(ring: Array, detail: float) -> Array:
-    """A closed ring (n, 2) with no more points than needed to stay within `detail` metres."""
-    if len(ring) < 4:
-        return ring
-    far = int(np.argmax(np.hypot(*(ring - ring[0]).T)))
-    first = _thinned(ring[: far + 1], detail)
-    second = _thinned(np.vstack((ring[far:], ring[:1])), detail)
-    return np.vstack((first[:-1], second[:-1]))
-
-
-def _thinned(line: Array, detail: float) -> Array:
-    """Douglas and Peucker's thinning of an open line."""
-    keep = np.zeros(len(line), dtype=bool)
-    keep[[0, -1]] = True
-    waiting = [(0, len(line) - 1)]
-    while waiting:
-        a, b = waiting.pop()
-        if b - a < 2:
-            continue
-        chord = line[b] - line[a]
-        d = line[a + 1 : b] - line[a]
-        span = float(np.hypot(*chord))
-        off = np.hypot(*d.T) if span < 1e-9 else np.abs(d @ [-chord[1], chord[0]]) / span
-        i = int(np.argmax(off))
-        if off[i] > detail:
-            keep[a + 1 + i] = True
-            waiting += [(a, a + 1 + i), (a + 1 + i, b)]
-    return line[keep]

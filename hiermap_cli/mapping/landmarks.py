@@ -121,7 +121,9 @@ def landmark_model(V: StochasticMap, draft: Draft, id_: str, area: str) -> Landm
     M[:3] = D_pose @ draft.pose_by_state
     M[:3, :3] += D_robot @ V.additive_D_error(V.robot)
     M[3:] = draft.shape_by_state
-    C = M @ V.covariance @ M.T
+    # A landmark hangs on few of the area's walls and ends.
+    by = np.flatnonzero(M.any(axis=0))
+    C = M[:, by] @ V.covariance[by[:, None], by] @ M[:, by].T
     C[:3, :3] += D_pose @ draft.pose_noise @ D_pose.T
     C[3:, 3:] += draft.shape_noise
     C = symmetrise(C)

@@ -132,7 +132,7 @@ def _path(X: Array, area: Index) -> dict[int, set[tuple[int, int]]]:
     k = np.arange(len(of)) - np.repeat(np.cumsum(steps + 1) - steps - 1, steps + 1)
     points = start[of] + (k / steps[of])[:, None] * way[of]
     cells = np.unique(np.column_stack((area[of], np.floor(points / CELL).astype(np.int64))), axis=0)
-    return {
-        a: {(i, j) for _, i, j in cells[cells[:, 0] == a].tolist()}
-        for a in np.unique(area).tolist()
-    }
+    found = {}
+    for a in np.unique(area).tolist():
+        found[a] = {(i, j) for _, i, j in cells[cells[:, 0] == a].tolist()}
+    return found

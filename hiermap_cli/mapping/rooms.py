@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.common_ground import Bars, grounds, one_place, together
 from hiermap_cli.mapping.passages import needed
 from hiermap_cli.mapping.portals import door_frame
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -47,13 +48,14 @@ class Rooms(NamedTuple):
     parts: the filter's areas of each, the first entered first, in the order of the first.
     portals: the portals with their final kinds: "door" once for every door, with all its
     crossings; refused ones are "same". door: for each portal, the portal that stands for its
-    door, or None. refused: the candidates that are no doors.
+    door, or None. refused: the candidates that are no doors. bars: the doors in g.
     """
 
     parts: tuple[tuple[int, ...], ...]
     portals: tuple[Portal, ...]
     door: tuple[int | None, ...]
     refused: tuple[Refused, ...]
+    bars: Bars = Bars(np.zeros((0, 3)), np.zeros(0))
 
 
 def decide(
@@ -63,8 +65,13 @@ def decide(
     frames: Array,
     doors: DoorConfig,
     config: AreaConfig,
+    *,
+    placed: bool = False,
 ) -> Rooms:
-    """Which areas are one and which portals are doors. frames: (K, 3) of the areas in g."""
+    """Which areas are one and which portals are doors. frames: (K, 3) of the areas in g.
+
+    placed: the areas lie in g so well that what they have seen of the same ground is the same.
+    """
     in_g = np.array(
         [se2.compose(frames[p.a], door_frame(areas[p.a], p, from_a=True)) for p in portals]
     ).reshape(-1, 3)
@@ -72,17 +79,49 @@ def decide(
     for p in portals:
         if p.kind in ("same", "size"):
             case.join(p.a, p.b)
-    for i in list(case.candidates):
-        if case.group[portals[i].a] == case.group[portals[i].b]:
-            case.refuse([i], "the robot came round it another way")
+    case.refuse_rounded()
     for members in case.doors():
         if case.evidence(members) < doors.min_evidence * needed(portals[members[0]].width):
             case.refuse(members, "too little wall beside it, over all crossings")
-    sizes = [places.size(i, area, portals, 0.5 * config.opening) for i, area in enumerate(areas)]
-    while (small := case.too_small(sizes, config.min_area)) is not None:
+    if placed:
+        _join_by_ground(case, places, frames, config)
+        size = _size_by_ground(case, places, frames, config)
+    else:
+        size = _size_by_parts(case, areas, places, config)
+    while (small := case.too_small(size, config.min_area)) is not None:
         beside = [m for m in case.doors() if small in case.ends(m[0])]
         case.refuse(min(beside, key=case.evidence), "the area behind it is too small")
     return case.closed()
+
+
+def _join_by_ground(case: _Case, places: Places, frames: Array, config: AreaConfig) -> None:
+    """Join areas that have seen the same ground; the doors are those not yet refused.
+
+    A door that does not part the ground of the two areas that it joins is none; and one that is
+    refused leaves others more in common.
+    """
+    ways = -1
+    while ways != len(case.candidates):
+        ways = len(case.candidates)
+        ground = grounds(places, frames, case.bars(), config.opening)
+        for a, b in one_place(ground, config.one_place):
+            case.join(a, b)
+        case.refuse_rounded()
+
+
+def _size_by_ground(
+    case: _Case, places: Places, frames: Array, config: AreaConfig
+) -> Callable[[Sequence[int]], float]:
+    ground = grounds(places, frames, case.bars(), 0.5 * config.opening)
+    return lambda parts: together([ground[i] for i in parts])
+
+
+def _size_by_parts(
+    case: _Case, areas: Sequence[AreaMap], places: Places, config: AreaConfig
+) -> Callable[[Sequence[int]], float]:
+    opening = 0.5 * config.opening
+    sizes = [places.size(i, area, case.portals, opening) for i, area in enumerate(areas)]
+    return lambda parts: sum(sizes[i] for i in parts)
 
 
 class _Case:
@@ -110,6 +149,17 @@ class _Case:
             self.candidates.remove(i)
             self.join(self.portals[i].a, self.portals[i].b)
 
+    def refuse_rounded(self) -> None:
+        """Refuse candidates within one area."""
+        for i in list(self.candidates):
+            if len(self.ends(i)) == 1:
+                self.refuse([i], "the robot came round it another way")
+
+    def bars(self) -> Bars:
+        """The candidates in g."""
+        which = self.candidates
+        return Bars(self.in_g[which], np.array([self.portals[i].width for i in which]))
+
     def ends(self, i: int) -> set[int]:
         """The areas on both sides of a candidate."""
         return {self.group[self.portals[i].a], self.group[self.portals[i].b]}
@@ -135,11 +185,15 @@ class _Case:
         net = np.array([self.portals[i].wall - self.portals[i].open for i in members])
         return float(crossings @ net / crossings.sum())
 
-    def too_small(self, sizes: Sequence[float], least: float) -> int | None:
-        """The smallest area that is too small to be one and has a door to give up."""
-        total = dict.fromkeys(self.group, 0.0)
-        for part, size in enumerate(sizes):
-            total[self.group[part]] += size
+    def too_small(self, size: Callable[[Sequence[int]], float], least: float) -> int | None:
+        """The smallest area that is too small to be one and has a door to give up.
+
+        size: square metres of some of the filter's areas together.
+        """
+        total = {
+            g: size([part for part, own in enumerate(self.group) if own == g])
+            for g in set(self.group)
+        }
         beside = {g for i in self.candidates for g in self.ends(i)}
         small = [g for g in beside if total[g] < least]
         return min(small, key=lambda g: (total[g], g), default=None)
@@ -159,4 +213,4 @@ class _Case:
             final[best] = replace(self.portals[best], crossings=crossings)
         names = sorted(set(self.group))
         parts = tuple(tuple(i for i, g in enumerate(self.group) if g == name) for name in names)
-        return Rooms(parts, tuple(final), tuple(door), tuple(self.refused))
+        return Rooms(parts, tuple(final), tuple(door), tuple(self.refused), self.bars())

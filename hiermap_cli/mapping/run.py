@@ -39,13 +39,16 @@ def map_log(
         raise InputError("the log holds no scan to map; `hiermap inspect` shows what it holds")
     begin = time.process_time()
     levels = by_filter = compose_levels(mapper)
+    refined = None
     if config.refine.enabled:
         refined = refine(mapper, by_filter)
         mapper.areas[:], levels = refined.areas, refined.levels
+        mapper.crossings.places = refined.places
         mapper.events.extend(refined.loops.events)
     timing["refinement"] = time.process_time() - begin
     begin = time.process_time()
-    result = assemble(mapper, by_filter, levels, laser_x=mounts[0] if mounts else 0.0)
+    laser_x = mounts[0] if mounts else 0.0
+    result = assemble(mapper, by_filter, levels, laser_x, refined)
     return replace(result, timing={**timing, "assembly": time.process_time() - begin})
 
 

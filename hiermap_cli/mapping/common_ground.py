@@ -1,0 +1,140 @@
+"""Areas of the filter that prove to be one place, once all of them lie where they are.
+
+The filter begins an area anew where it does not know that it has been there. With the log solved
+as a whole it is known where each area lies, to centimetres: where two have seen the same ground
+for the most part, or the robot's path in one lies within the other, with no door between them,
+they are one.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.places import BESIDE
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.mapping.places import Places
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+SQUARE = 0.2  # metres: ground of several areas is compared by such squares
+_MANY = 1 << 31
+
+
+class Ground(NamedTuple):
+    """Squares of g, as sorted numbers, that an area's beams have passed, and of its path.
+
+    size: square metres of its free space.
+    """
+
+    seen: Index
+    path: Index
+    size: float
+
+
+class Bars(NamedTuple):
+    """Doors in g: frames (n, 3), X along the line between the jambs, and widths (n,)."""
+
+    frames: Array
+    widths: Array
+
+    def within(self, frame: Array, bounds: Array) -> list[Array]:
+        """Those about a box, x and y (2, 2) in another frame, as segments (2, 2) there.
+
+        They are a little wider than the doors are.
+        """
+        if not len(self.frames):
+            return []
+        there = se2.between(frame, self.frames)
+        half = 0.5 * self.widths + BESIDE
+        reach = half[:, None]
+        near = ((there[:, :2] > bounds[0] - reach) & (there[:, :2] < bounds[1] + reach)).all(axis=1)
+        return [_bar(there[i], float(half[i])) for i in np.flatnonzero(near).tolist()]
+
+
+def _bar(door: Array, half: float) -> Array:
+    ends = np.array([[-half, 0.0, 0.0], [half, 0.0, 0.0]])
+    bar: Array = se2.compose(door, ends)[:, :2]
+    return bar
+
+
+def grounds(places: Places, frames: Array, bars: Bars, opening: float) -> list[Ground]:
+    """The ground of every area within all doors, be they its own or not. frames: (A, 3) in g."""
+    found = []
+    for i, frame in enumerate(frames):
+        path = places.path(i)
+        if i not in places.grids:
+            found.append(Ground(_NONE, _squares(frame, path), 0.0))
+            continue
+        grid = places.grids[i]
+        region = grid.region(path, bars.within(frame, grid.bounds()), opening)
+        centres = region.centres()
+        found.append(Ground(_squares(frame, centres), _squares(frame, path), region.area()))
+    return found
+
+
+_NONE = np.zeros(0, dtype=np.int64)
+
+
+def _squares(frame: Array, points: Array) -> Index:
+    """The squares of g, each once and in order, of points (n, 2) in an area's frame."""
+    there = se2.compose(frame, np.column_stack((points, np.zeros(len(points)))))[:, :2]
+    x, y = np.floor(there / SQUARE).astype(np.int64).T
+    return np.unique(x * _MANY + y)
+
+
+def together(ground: Sequence[Ground]) -> float:
+    """Square metres of the free space of several areas, what they share counted once."""
+    every = sum(len(one.seen) for one in ground)
+    if not every:
+        return 0.0
+    once = len(np.unique(np.concatenate([one.seen for one in ground])))
+    return sum(one.size for one in ground) * once / every
+
+
+def one_place(ground: Sequence[Ground], share: float) -> list[tuple[int, int]]:
+    """Pairs (a, b), a < b, of areas that have more than a share of their ground in common.
+
+    That is of the smaller one's, or of the path in one of them.
+    """
+    low, high = _bounds(ground)
+    pairs: list[tuple[int, int]] = []
+    for a, one in enumerate(ground):
+        meet = (low[a] <= high).all(axis=1) & (low <= high[a]).all(axis=1)
+        meet[: a + 1] = False
+        others = np.flatnonzero(meet).tolist()
+        pairs += [(a, b) for b in others if _alike(one, ground[b]) > share]
+    return pairs
+
+
+def _alike(a: Ground, b: Ground) -> float:
+    """The larger of the shares."""
+    return max(
+        _common(a.seen, b.seen) / max(1, min(len(a.seen), len(b.seen))),
+        _common(a.path, b.seen) / max(1, len(a.path)),
+        _common(b.path, a.seen) / max(1, len(b.path)),
+    )
+
+
+def _common(a: Index, b: Index) -> int:
+    return len(np.intersect1d(a, b, assume_unique=True))
+
+
+def _bounds(ground: Sequence[Ground]) -> tuple[Index, Index]:
+    """The least and greatest square (A, 2) of every area; of one without any they never meet."""
+    low, high = np.full((len(ground), 2), _MANY), np.full((len(ground), 2), -_MANY)
+    for i, one in enumerate(ground):
+        every = np.concatenate((one.seen, one.path))
+        if len(every):
+            x = (every + _MANY // 2) // _MANY
+            at = np.column_stack((x, every - x * _MANY))
+            low[i], high[i] = at.min(axis=0), at.max(axis=0)
+    return low, high
