@@ -136,6 +136,10 @@ class NoiseConfig(Section):
 class FilterConfig(Section):
     """What becomes a measurement, and when."""
 
+    features: Literal["all", "walls", "landmarks"] = Field(
+        "all",
+        description="walls: their ends are not measured; landmarks: no wall is that has no end",
+    )
     key_distance: Positive = Field(0.15, description="metres between scans that the filter uses")
     key_angle: Positive = Field(0.07, description="radians between scans that the filter uses")
     min_match_length: Positive = Field(0.3, description="metres; a segment that may be matched")
@@ -150,6 +154,7 @@ class FilterConfig(Section):
 class AssociationConfig(Section):
     """Gates of the matching."""
 
+    joint: bool = Field(True, description="false: each segment's best wall, without regard to all")
     gate: Positive = Field(0.999, lt=1, description="probability of the chi-square gates")
     max_angle: Positive = Field(0.26, description="radians between a segment and its wall")
     max_offset: Positive = Field(1.0, description="metres between a segment and its wall")

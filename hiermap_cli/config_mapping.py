@@ -25,6 +25,9 @@ class OdometryFaultConfig(Section):
     backward: Positive = Field(
         0.1, description="metres told of backing up; such odometry has hardly lost its sign"
     )
+    signed: Positive = Field(
+        0.5, description="metres told of backing up; such odometry is believed when it tells ahead"
+    )
     max_backward: Positive = Field(
         1.0, description="metres that a robot backs up where nothing confirms it"
     )
@@ -42,6 +45,10 @@ class LostConfig(Section):
     """When the robot is not where it is believed to be, and how it is found anywhere."""
 
     scans: int = Field(4, ge=1, description="key scans in a row that fit nothing")
+    others: Positive = Field(
+        0.18, le=1, description="of the ranges; more are others where a robot has been put down"
+    )
+    other_range: Positive = Field(0.1, description="metres by which a range is another")
     behind: Positive = Field(0.5, description="metres behind a wall that a beam cannot reach")
     seen_through: Positive = Field(
         0.25, le=1, description="of the beams; more go through walls where the robot is not"
@@ -141,6 +148,7 @@ class AreaConfig(Section):
 class LoopConfig(Section):
     """Loops between fragments of the path, found when the log is known to its end."""
 
+    enabled: bool = Field(True, description="false: no loop is closed")
     fragment_path: Positive = Field(5.0, description="metres of path that make a fragment")
     min_segment: Positive = Field(0.25, description="metres; shorter segments tell nothing")
     merge_offset: Positive = Field(0.08, description="metres between segments of one wall")

@@ -84,7 +84,7 @@ def close_loops(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseSc
         noise: as the filter found it.
     """
     poses = np.asarray(poses, dtype=float)
-    if len(poses) < 2:
+    if len(poses) < 2 or not config.loops.enabled:
         return LoopResult(poses, (), ())
     c = config.loops
     steps = steps_of(keyscans, poses, config, noise)

@@ -125,7 +125,7 @@ def associate(
     best = pairs.at.take(_first(pairs.segment))
     found = _with_ends(told, sighting, offers, best, config)
     z = found.constraint.gain.whiten(found.constraint.innovation)[: 2 * len(best)]
-    if float(z @ z) > chi_square(config.gate, 2 * len(best)):
+    if config.joint and float(z @ z) > chi_square(config.gate, 2 * len(best)):
         few = _best_few(pairs)
         best = few.at.take(_jointly_compatible(told, few, config))
         found = _with_ends(told, sighting, offers, best, config)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import Config
     from hiermap_cli.logs.records import ScanBlock
+    from hiermap_cli.mapping.mapper import Mapper
     from hiermap_cli.mapping.model import MapResult
 
 
@@ -37,17 +38,27 @@ def map_log(
     mapper, timing = run_filter(_mounted(blocks, mounts), config, progress)
     if not mapper.areas:
         raise InputError("the log holds no scan to map; `hiermap inspect` shows what it holds")
+    return finish(mapper, timing, mounts[0])
+
+
+def finish(mapper: Mapper, timing: dict[str, float], laser_x: float) -> MapResult:
+    """The map of what the filter has left: loops, refinement and assembly. Once for a mapper.
+
+    Args:
+        mapper: at the end of the log, with at least one area.
+        timing: seconds of the stages before.
+        laser_x: metres, of the laser's mount as the log has it.
+    """
     begin = time.process_time()
     levels = by_filter = compose_levels(mapper)
     refined = None
-    if config.refine.enabled:
+    if mapper.config.refine.enabled:
         refined = refine(mapper, by_filter)
         mapper.areas[:], levels = refined.areas, refined.levels
         mapper.crossings.places = refined.places
         mapper.events.extend(refined.loops.events)
     timing["refinement"] = time.process_time() - begin
     begin = time.process_time()
-    laser_x = mounts[0] if mounts else 0.0
     result = assemble(mapper, by_filter, levels, laser_x, refined)
     return replace(result, timing={**timing, "assembly": time.process_time() - begin})
 

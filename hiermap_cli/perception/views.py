@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+
+from hiermap_cli.perception.segments import END_OPEN
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -54,6 +56,20 @@ def scan_views(segments: SegmentBlock, scans: int) -> Iterator[SegmentView]:
             segments.end_sigma[s],
             segments.length[s],
         )
+
+
+def measured(view: SegmentView, features: Literal["all", "walls", "landmarks"]) -> SegmentView:
+    """What of a view may be measured.
+
+    walls: segments, none of which is known to end. landmarks: segments that show an end or a
+    corner, so that each tells a whole pose.
+    """
+    if features == "all":
+        return view
+    if features == "walls":
+        return view._replace(end_kind=np.full_like(view.end_kind, END_OPEN))
+    shown = (view.end_kind != END_OPEN).any(axis=1)
+    return SegmentView._make(column[shown] for column in view)
 
 
 def with_noise(view: SegmentView, config: FilterConfig, laser: float, walls: float) -> SegmentView:

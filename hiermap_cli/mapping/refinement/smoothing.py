@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 STRETCH = 24  # key scans eliminated together
 FIXED = 1e-6  # metres and radians: the first pose is g
+KNOWN = 1e-12  # variance of a parameter whose prior is 0
 
 
 class Structure(NamedTuple):
@@ -121,7 +122,8 @@ def assemble(
             H += np.bincount(flat, of_H[part].ravel(), n * n)
             g += np.bincount(at.ravel(), of_g[part].ravel(), n)
         pieces.append(Piece(index, H.reshape(n, n), g))
-    information = 1.0 / np.diag(prior_covariance(config.odometry))
+    # A prior of 0 is a parameter that is known; an infinite information could not be solved.
+    information = 1.0 / np.maximum(np.diag(prior_covariance(config.odometry)), KNOWN)
     first = pieces[0]
     at = np.searchsorted(first.columns, np.arange(3))
     first.H[at, at] += 1.0 / FIXED**2
