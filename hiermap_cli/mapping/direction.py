@@ -172,6 +172,8 @@ class DirectionWatch:
         if not drive.trusted:
             self.forget()
             return None
+        if not self._window and self._signed(drive):
+            return None
         suspicious = self._suspicious(step)
         if not self._window and not turning and (self.sign > 0.0 or not suspicious):
             return None
@@ -196,6 +198,11 @@ class DirectionWatch:
         if over or (best is None and self._shown > c.shown):
             self.forget()
         return None
+
+    def _signed(self, drive: Drive) -> bool:
+        """Whether odometry has told so much of backing up that what it tells ahead is ahead."""
+        told = self._told_backward > self.stepper.config.odometry_faults.signed
+        return told and self.sign > 0.0 and float(drive.increments[-1, 0]) > 0.0
 
     def take(self, branch: Branch) -> None:
         """The branch is what is believed from now on; later turning points in it stay open."""
