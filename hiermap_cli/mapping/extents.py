@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.geometry import se2
+from hiermap_cli.geometry import raster, se2
 from hiermap_cli.mapping.freespace import (
+    CELL,
     FreeGrid,
     Region,
     closed,
@@ -79,7 +80,8 @@ def extents(
             ]
         else:
             barriers = bars.within(frame, grid.bounds())
-        grounds.append(Ground(grid.region(way, barriers, config.opening).trimmed(), way))
+        region = grid.region(way, barriers, config.opening).trimmed()
+        grounds.append(Ground(entered(region, way, places.widest_door, config.min_area), way))
     near = _neighbours(grounds, frames)
     regions = [ground.region for ground in grounds]
     for _ in range(2):
@@ -110,6 +112,30 @@ def _own(
         lost[cells[:, 0], cells[:, 1]] = True
     own = Region(ground.region.mask & ~lost, ground.region.first)
     return closed(own, config.furniture, config.min_area, lost)
+
+
+def entered(region: Region, path: Array, width: float, least: float) -> Region:
+    """A region as far as the robot was in it: path (k, 2).
+
+    A place as large as an area, `least` square metres, behind an opening no wider than `width`
+    metres, a door's, is another area if the path does not lead there: one that was only seen.
+    """
+    if not region.mask.any():
+        return region
+    radius = 0.5 * width / CELL
+    deep = raster.shrunk(np.pad(region.mask, 1), radius)[1:-1, 1:-1]
+    places = raster.pieces(deep, diagonal=True)
+    way = np.zeros_like(region.mask)
+    cells = np.floor(path / CELL).astype(np.int64) - region.first
+    cells = cells[((cells >= 0) & (cells < way.shape)).all(axis=1)]
+    way[cells[:, 0], cells[:, 1]] = True
+    visited = places[raster.grown(way, radius)]
+    left = region.mask.copy()
+    for k in np.setdiff1d(places, np.append(visited, 0)).tolist():
+        place = raster.grown(places == k, radius + 0.5) & region.mask
+        if np.count_nonzero(place) * CELL**2 >= least:
+            left &= ~place
+    return Region(left, region.first)
 
 
 def _neighbours(grounds: Sequence[Ground], frames: Array) -> NDArray[np.bool_]:

@@ -1,0 +1,179 @@
+"""Areas that prove to be one place once they lie where they are, and doors that part nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_portals import ACROSS, fresh, strip
+
+from hiermap_cli.config import AreaConfig, DoorConfig
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.common_ground import Bars, grounds, one_place, together
+from hiermap_cli.mapping.extents import extents
+from hiermap_cli.mapping.freespace import FreeGrid, Region
+from hiermap_cli.mapping.places import Places
+from hiermap_cli.mapping.portals import Portal, add_anchor
+from hiermap_cli.mapping.rooms import Rooms, decide
+
+NO_BARS = Bars(np.zeros((0, 3)), np.zeros(0))
+
+
+def places_of(*grids, paths=None):
+    """Areas with their free space, and paths along X, from and to metres."""
+    places = Places(DoorConfig().max_width)
+    for i, grid in enumerate(grids):
+        places.grids[i] = grid
+        first, last = (0.0, 4.0) if paths is None else paths[i]
+        places.paths[i] = {(k, 0) for k in range(round(10 * first), round(10 * last))}
+    return places
+
+
+def pairs(places, frames, bars=NO_BARS):
+    return one_place(grounds(places, np.array(frames, dtype=float), bars, 0.8), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("x", "theta", "one"),
+    [(0.3, 0.0, True), (1.4, 0.3, True), (2.6, 0.0, False), (9.0, 0.0, False)],
+)
+def test_areas_are_one_that_have_most_of_their_ground_in_common(x, theta, one):
+    # The path is told apart from the ground: it is in the far half only.
+    places = places_of(strip(), strip(), paths=[(0.2, 1.0), (3.0, 3.8)])
+    assert pairs(places, [[1.0, 2.0, 0.0], [1.0 + x, 2.0, theta]]) == ([(0, 1)] if one else [])
+
+
+def test_an_area_is_another_if_its_path_lies_in_it():
+    long = places_of(strip(12.0), strip(4.0), paths=[(0.0, 4.0), (0.0, 1.5)])
+    # A third of the smaller one's ground lies in the other, and all of the robot's path.
+    assert pairs(long, [[0.0, 0.0, 0.0], [10.5, 0.0, 0.0]]) == [(0, 1)]
+    long.paths[1] = {(k, 0) for k in range(20, 40)}
+    assert pairs(long, [[0.0, 0.0, 0.0], [10.5, 0.0, 0.0]]) == []
+
+
+def test_what_lies_behind_a_door_is_not_common():
+    """A corridor from which all of a room is seen: one place, but for the door between them."""
+    places = places_of(strip(8.0), strip(4.0), paths=[(0.5, 3.5), (0.5, 3.5)])
+    frames = [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]]
+    assert pairs(places, frames) == [(0, 1)]
+    door = np.array([[4.0, 0.0, -0.5 * np.pi]])
+    assert pairs(places, frames, Bars(door, np.array([3.0]))) == []
+    assert pairs(places, frames, Bars(door, np.array([0.9]))) == [(0, 1)]  # a way round it
+
+
+def test_common_ground_is_counted_once():
+    places = places_of(strip(), strip(), strip())
+    ground = grounds(places, np.array([[0.0, 0, 0], [0.0, 0, 0], [50.0, 0, 0]]), NO_BARS, 0.8)
+    assert together(ground[:1]) == pytest.approx(12.0)
+    assert together(ground[:2]) == pytest.approx(12.0)
+    assert together(ground) == pytest.approx(24.0)
+    assert together([]) == 0.0
+
+
+def test_an_area_without_anything_meets_none():
+    places = places_of(strip())
+    assert pairs(places, [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) == []
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.4, -2.0])
+def test_bars_lie_in_every_frame_where_the_doors_are(theta):
+    frame = np.array([3.0, -1.0, theta])
+    doors = se2.compose(frame, np.array([[1.0, 2.0, 0.5 * np.pi], [30.0, 0.0, 0.0]]))
+    (bar,) = Bars(doors, np.array([0.8, 0.8])).within(frame, np.array([[0.0, 0.0], [4.0, 4.0]]))
+    assert bar == pytest.approx(np.array([[1.0, 1.1], [1.0, 2.9]]))
+
+
+def three_areas():
+    """A room, what is again a part of the room, and another room: doors at x = 4 and x = 3.8."""
+    maps = []
+    area, _ = add_anchor(fresh(), 0)
+    area, out = add_anchor(area, 1)
+    maps.append(area)
+    second, into = add_anchor(fresh(), 1)
+    second, out2 = add_anchor(second, 2)
+    third, into2 = add_anchor(fresh(), 2)
+    maps += [second, third]
+    at = np.array([4.0, 0.0, 0.0])
+    portals = [
+        Portal(0, out, 1, into, "door", se2.compose(at, ACROSS), 0.9, 2.0, 0.0),
+        Portal(1, out2, 2, into2, "door", se2.compose(at - [0.2, 0.0, 0.0], ACROSS), 0.9, 2.0, 0.0),
+    ]
+    return maps, portals
+
+
+def decided(places, frames, *, placed):
+    maps, portals = three_areas()
+    frames = np.array(frames, dtype=float)
+    return decide(maps, portals, places, frames, DoorConfig(), AreaConfig(), placed=placed)
+
+
+def test_a_door_that_parts_nothing_is_none():
+    narrow = 1.6  # no way round a door of 0.9 m
+    places = places_of(
+        strip(6.8, width=narrow), strip(6.8, width=narrow), strip(4.0, narrow),
+        paths=[(0.2, 3.5), (0.2, 3.5), (0.2, 3.5)],
+    )  # fmt: skip
+    # The first two are seen from the same place: what parts them lies behind both.
+    frames = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [20.0, 0.0, 0.0]]
+    rooms = decided(places, frames, placed=True)
+    assert rooms.parts == ((0, 1), (2,))
+    assert [(r.portal, r.reason) for r in rooms.refused] == [
+        (0, "the robot came round it another way")
+    ]
+    assert len(rooms.bars.frames) == 1
+    # Areas that are known less well are not taken for one by what they seem to share.
+    assert decided(places, frames, placed=False).parts == ((0,), (1,), (2,))
+
+
+def extent_of(grid, path, *, furniture=1.2):
+    places = Places(DoorConfig().max_width)
+    places.grids, places.paths = {0: grid}, {0: {tuple(cell) for cell in path}}
+    config = AreaConfig(furniture=furniture)
+    still = np.zeros((1, 3))
+    (one,) = extents(Rooms(((0,),), (), (), ()), [still], still, [fresh()], places, config, NO_BARS)
+    return one.polygon
+
+
+def test_a_room_that_was_only_seen_through_a_door_is_left_out():
+    mask = np.zeros((120, 50), dtype=np.uint8)
+    mask[:60, :] = 1
+    mask[60:64, 20:33] = 1  # 1.3 m wide
+    mask[64:, :] = 1
+    grid = FreeGrid(mask, np.zeros_like(mask), (0, 0), scans=1)
+    here = [(k, 25) for k in range(10, 50)]
+    assert extent_of(grid, here)[:, 0].max() < 7.0
+    there = [(k, 25) for k in range(10, 100)]
+    assert extent_of(grid, there)[:, 0].max() == pytest.approx(12.0, abs=0.11)
+
+
+def test_an_alcove_that_is_no_area_belongs_to_its_room():
+    mask = np.zeros((90, 50), dtype=np.uint8)
+    mask[:60, :] = 1
+    mask[60:64, 20:33] = 1
+    mask[64:84, 16:37] = 1  # 2.0 m x 2.1 m
+    grid = FreeGrid(mask, np.zeros_like(mask), (0, 0), scans=1)
+    polygon = extent_of(grid, [(k, 25) for k in range(10, 50)])
+    assert polygon[:, 0].max() == pytest.approx(8.4, abs=0.11)
+
+
+def test_ground_parted_from_an_area_goes_to_the_other_that_has_seen_it():
+    """The first sees all of a corridor of 12 m; the second has been in its middle only."""
+    places = places_of(strip(12.0, 2.0), strip(4.0, 2.0), paths=[(0.2, 4.0), (0.2, 3.8)])
+    places.grids[1] = FreeGrid(
+        np.ones((80, 20), np.uint8), np.zeros((80, 20), np.uint8), (0, -10), scans=1
+    )
+    frames = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    places.paths[0] |= {(k, 0) for k in range(112, 118)}  # and once more at its end
+    rooms = Rooms(((0,), (1,)), (), (), ())
+    still = np.zeros((1, 3))
+    first, second = extents(
+        rooms, [still, still], frames, [fresh(), fresh()], places, AreaConfig(), NO_BARS
+    )
+    assert first.polygon[:, 0].max() == pytest.approx(4.0, abs=0.3)
+    assert second.polygon[:, 0].max() == pytest.approx(8.0, abs=0.11)
+
+
+def test_regions_of_no_cells_are_left_as_they_are():
+    from hiermap_cli.mapping.extents import entered
+
+    nothing = Region(np.zeros((0, 0), dtype=bool), (0, 0))
+    assert entered(nothing, np.zeros((0, 2)), 1.7, 5.0) is nothing
