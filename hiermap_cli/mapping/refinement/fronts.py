@@ -195,6 +195,7 @@ class Factor(NamedTuple):
 
     def covariance(self, J: Array, index: Index) -> Array:
         """`J C J^T` of a linear function J (r, n) of the variables `index` (n,)."""
+        index, J = _once(index, J)
         home = np.empty(self.variables, dtype=np.int64)
         for k, front in enumerate(self.fronts):
             home[front.own] = k
@@ -207,7 +208,7 @@ class Factor(NamedTuple):
                 own = self.fronts[k].own
                 if k not in columns:
                     columns[k] = np.zeros((len(own), len(J)))
-                np.add.at(columns[k], np.searchsorted(own, where[here]), rows[here])
+                columns[k][np.searchsorted(own, where[here])] += rows[here]
 
         add(index, J.T)
         C = np.zeros((len(J), len(J)))
@@ -228,6 +229,15 @@ class Factor(NamedTuple):
                 for j in set(columns) - before:
                     heapq.heappush(waiting, j)
         return C
+
+
+def _once(index: Index, J: Array) -> tuple[Index, Array]:
+    """The variables in order, each once, and J (r, n) by them."""
+    order = np.argsort(index, kind="stable")
+    first = np.flatnonzero(np.diff(index[order], prepend=-1))
+    if not len(first):
+        return index, J
+    return index[order[first]], np.add.reduceat(J[:, order], first, axis=1)
 
 
 def factorise(pieces: Sequence[Piece], order: Plan, variables: int) -> Factor:
