@@ -53,14 +53,14 @@ class LostConfig(Section):
     seen_through: Positive = Field(
         0.25, le=1, description="of the beams; more go through walls where the robot is not"
     )
-    through: Positive = Field(
-        0.2, le=1, description="of the beams; at most so many go through walls where it is found"
-    )
     sigma: Positive = Field(5.0, description="metres, where a lost robot may be")
     sigma_angle: Positive = Field(2.0, description="radians, how a lost robot may face")
     min_share: Positive = Field(0.6, le=1, description="of the walls' length explained")
     min_explained: Positive = Field(4.0, description="metres of walls explained")
-    second: Positive = Field(0.75, le=1, description="the second best place, of the best")
+    min_seen: Positive = Field(0.5, le=1, description="of the ends of beams that were seen before")
+    max_against: Positive = Field(0.08, le=1, description="of what was seen, against the place")
+    floor: Positive = Field(0.02, le=1, description="of what was seen, against any place")
+    clear: Positive = Field(2.5, ge=1, description="as much against every other place")
 
 
 class RelocationConfig(Section):
@@ -230,7 +230,7 @@ class RefineConfig(Section):
     scales: tuple[Positive, ...] = Field(
         (3.0, 1.7, 1.0), description="of the offsets below, in each round of matching"
     )
-    steps: int = Field(3, ge=1, description="of Gauss-Newton for each matching, at most")
+    steps: int = Field(2, ge=1, description="of Gauss-Newton for each matching, at most")
     converged: Positive = Field(1e-4, description="metres and radians; a smaller step is the last")
     min_length: Positive = Field(0.3, description="metres; a segment that may be matched")
     match_angle: Positive = Field(0.1, description="radians between a segment and its wall")
@@ -259,12 +259,17 @@ class LandmarkConfig(Section):
     min_angle: Positive = Field(0.35, description="radians between the walls of a corner")
     corner_gap: Positive = Field(0.4, description="metres from a wall's end to the corner's vertex")
     corner_touch: Positive = Field(
-        0.05, description="metres; walls that truly end nearer to each other touch"
+        0.02, description="metres; sigma of where walls end that touch, beside the ends' own"
     )
     open_reach: Positive = Field(
-        0.1, description="metres; from where a wall was seen last to a corner"
+        0.05, description="metres; sigma from where a wall was seen last to a corner"
     )
-    corner_sigmas: Positive = Field(3.0, description="of the place of an end, beyond that")
+    corner_chi2: Positive = Field(
+        6.0, description="of the ways from both ends to the vertex; more, and walls do not touch"
+    )
+    corner_known: Positive = Field(
+        0.15, description="metres; no wall may stop shorter of the vertex, by two sigmas of its end"
+    )
     parallel: Positive = Field(0.12, description="radians between walls that count as parallel")
     door_min_width: Positive = Field(0.6, description="metres between jambs")
     door_max_width: Positive = Field(1.4, description="metres between jambs; wider is no door")

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from test_refinement_problem import scene
 
 from hiermap_cli.config import Config
@@ -21,6 +23,7 @@ from hiermap_cli.mapping.mapper import run_filter
 from hiermap_cli.mapping.refinement.between import laid_on_walls
 from hiermap_cli.mapping.refinement.matches import (
     Placed,
+    components,
     fit_walls,
     match_segments,
     merge_walls,
@@ -213,3 +216,23 @@ def test_a_scan_without_walls_stays_where_it_was_thought_to_be():
     found, left = laid_on_walls(state, state.poses, bridge, nothing, NoiseScale(), Config())
     np.testing.assert_allclose(found, state.poses, atol=1e-12)
     np.testing.assert_allclose(left, bridge + 1e-4 * np.eye(3), atol=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 30), st.lists(st.tuples(st.integers(0, 29), st.integers(0, 29)), max_size=40))
+def test_components_are_what_edges_connect(n, edges):
+    edges = [(a % n, b % n) for a, b in edges]
+    i, j = np.array(edges, dtype=np.int64).reshape(-1, 2).T
+    number = components(n, i, j)
+    groups = [{k} for k in range(n)]
+    for a, b in edges:
+        one = next(g for g in groups if a in g)
+        other = next(g for g in groups if b in g)
+        if one is not other:
+            one |= other
+            groups.remove(other)
+    for a in range(n):
+        for b in range(n):
+            together = any(a in g and b in g for g in groups)
+            assert (number[a] == number[b]) == together
+    assert set(number.tolist()) == set(range(len(groups)))

@@ -133,9 +133,6 @@ def match_segments(
 
 def merge_walls(walls: Walls, scale: float, config: RefineConfig) -> Index:
     """A number for each wall, the same for walls that are one; `scale` is on what parts them."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     offset, angle = scale * config.merge_offset, scale * config.merge_angle
     lines = wall_lines(walls)
     i, j = near_pairs(walls, lines, offset)
@@ -154,9 +151,21 @@ def merge_walls(walls: Walls, scale: float, config: RefineConfig) -> Index:
         & (off < offset)
         & (overlap > config.merge_overlap * long[short])
     )
-    n = len(walls.poses)
-    edges = coo_array((np.ones(int(one.sum())), (i[one], j[one])), shape=(n, n))
-    return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int64)
+    return components(len(walls.poses), i[one], j[one])
+
+
+def components(n: int, i: Index, j: Index) -> Index:
+    """A number from 0 for each of n nodes, the same for those that edges i - j connect."""
+    root = np.arange(n)
+    while True:
+        least = root.copy()
+        np.minimum.at(least, i, root[j])
+        np.minimum.at(least, j, root[i])
+        least = np.minimum(least, least[least])
+        if (least == root).all():
+            break
+        root = least
+    return np.asarray(np.unique(root, return_inverse=True)[1].ravel(), dtype=np.int64)
 
 
 def match_ends(
