@@ -95,6 +95,9 @@ class SegmentationConfig(Section):
         0.5, description="metres; pieces of one line are joined across something before them"
     )
     outlier_sigmas: Positive = Field(4.0, description="points farther off a line do not count")
+    vertex_width: Positive = Field(
+        0.3, description="metres; a wall whose end is known worse is not known to meet another"
+    )
     free_depth: Positive = Field(
         0.08, description="metres behind a wall's end that make it an edge, not an uneven wall"
     )

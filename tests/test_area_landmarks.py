@@ -29,7 +29,13 @@ def room_with_ends(rng, coordinates="invariant", sigma=0.01) -> AreaMap:
     The covariance is full, but for the ends' y and theta, which are their walls' by birth.
     """
     walls = np.array(
-        [[1.0, 0.0, 0.0], [4.0, 0.0, 0.0], [5.0, 2, np.pi / 2], [2.5, 4, np.pi], [0, 2, -np.pi / 2]]
+        [
+            [1.0, 0.0, 0.0],
+            [3.95, 0.0, 0.0],
+            [5.0, 2, np.pi / 2],
+            [2.5, 4, np.pi],
+            [0, 2, -np.pi / 2],
+        ]
     )
     half = [1.0, 1.05, 2.0, 2.5, 2.0]
     ends = [(0, 1), (1, 0), (0, 0), (2, 0), (3, 0), (4, 0)]

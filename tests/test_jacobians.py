@@ -80,6 +80,16 @@ def jamb_lines(rng):
     return np.array([first, [first[0] + rng.uniform(-0.2, 0.2), rng.uniform(-5, 5)]])
 
 
+def moved_jamb_on_line(e, S, jambs, k):
+    """Alpha 1, jamb 1, alpha 2, jamb 2, with one of the jambs put on the other one's line."""
+    hesse, points = S.copy(), jambs.copy()
+    for i in range(2):
+        hesse[i, 0] += e[3 * i]
+        points[i] += e[3 * i + 1 : 3 * i + 3]
+    out = door.jamb_on_line(hesse, points, k)
+    return np.concatenate(([hesse[0, 0]], out[0], [hesse[1, 0]], out[1]))
+
+
 def moved_jambs(e, S, jambs, choice, weight):
     """The door of jamb lines and points changed by e = (alpha1, x1, y1, alpha2, x2, y2)."""
     angles = S + np.array([[e[0], 0.0], [e[3], 0.0]])
@@ -184,6 +194,12 @@ TABLE = [
         door.door_pose_D_jambs,
         lambda rng: (jamb_lines(rng), rng.uniform(-2, 2, (2, 2)), rng.integers(4), 0.3),
         moved_jambs,
+        6,
+    ),
+    Entry(
+        door.jamb_on_line_D_jambs,
+        lambda rng: (jamb_lines(rng), rng.uniform(-2, 2, (2, 2)), int(rng.integers(2))),
+        moved_jamb_on_line,
         6,
     ),
     Entry(

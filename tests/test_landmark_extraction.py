@@ -16,6 +16,7 @@ from hiermap_cli.simulation.raycast import RayCaster
 
 CONFIG = Config()
 LASER = LaserGeometry(-np.pi, np.radians(1.0), 360, 0.05, 20.0)
+MIDDLE = np.array([3.0, 2.0, 0.3])  # from where all corners are well seen
 POSE = np.array([2.0, 1.5, 0.3])
 SCANS = 300
 # The inner corners of the first room, and its door's middle on this side of the wall.
@@ -63,20 +64,35 @@ def test_a_scan_without_noise_shows_the_corners_and_the_door_where_they_are():
     assert se2.wrap(door[2] + np.pi / 2) == pytest.approx(0.0, abs=1e-4)  # Y leads out, along x
 
 
+def test_a_wall_seen_too_flatly_is_not_known_to_reach_the_next():
+    """From POSE the beams on the wall along x lie 0.2 m apart where it comes to (5.9, 0.1).
+
+    An edge some centimetres before the other wall would look the same.
+    """
+    found = 0
+    for lines, groups in landmarks_in(scans_at(POSE, SCANS, 0.01)):
+        for rule, group in groups:
+            at = se2.compose(POSE, rule.extract(lines, group).pose)
+            found += group.kind == "corner_concave" and np.hypot(*(at[:2] - CORNERS[1])) < 0.1
+    assert found < 0.05 * SCANS
+
+
 def test_covariances_of_corners_tell_the_truth():
     errors = {k: [] for k in range(4)}
     headings = {}
-    for lines, groups in landmarks_in(scans_at(POSE, SCANS, 0.01)):
+    for lines, groups in landmarks_in(scans_at(MIDDLE, SCANS, 0.01)):
         for rule, group in groups:
             if group.kind != "corner_concave":
                 continue
-            at = se2.compose(POSE, rule.extract(lines, group).pose)
+            at = se2.compose(MIDDLE, rule.extract(lines, group).pose)
             k = int(np.argmin(np.hypot(*(CORNERS - at[:2]).T)))
             # The frame chosen at first sight holds for all later views.
             known = headings.setdefault(k, at[2])
-            chosen = re_express(rule, lines, group, known - POSE[2])
+            chosen = re_express(rule, lines, group, known - MIDDLE[2])
             extraction = rule.extract(lines, chosen)
-            true = se2.between(POSE, np.append(CORNERS[k], 0.5 * np.pi * round(known / np.pi * 2)))
+            true = se2.between(
+                MIDDLE, np.append(CORNERS[k], 0.5 * np.pi * round(known / np.pi * 2))
+            )
             e = extraction.pose - true
             e[2] = se2.wrap(e[2])
             C = pose_covariance(lines, chosen, extraction)

@@ -170,21 +170,6 @@ def test_a_later_view_keeps_the_frame_where_lengths_would_turn_it():
     np.testing.assert_allclose(se2.between(known.pose, again.pose), 0.0, atol=1e-12)
 
 
-def test_walls_that_hardly_differ_or_do_not_meet_are_no_corner():
-    far = 4.0 * np.array([np.cos(0.3), np.sin(0.3)])
-    flat = np.array([[[-4.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], far]])
-    assert not found(lines_of(flat), "corner_concave")
-    apart = np.array([[[-4.0, 0.0], [-0.5, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
-    assert not found(lines_of(apart), "corner_concave")
-    near = np.array([[[-4.0, 0.0], [-0.3, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
-    assert not found(lines_of(near), "corner_concave")  # it ends before
-    not_to_its_end = [[END_OPEN, END_OPEN], [END_FREE, END_FREE]]
-    assert found(lines_of(near, kind=not_to_its_end), "corner_concave")
-    # Nothing says that either of the walls ends there.
-    both_open = [[END_OPEN, END_OPEN], [END_OPEN, END_OPEN]]
-    assert not found(lines_of(near, kind=both_open), "corner_concave")
-
-
 def test_a_wall_that_goes_on_makes_no_corner():
     through = np.array([[[-4.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
     assert not found(lines_of(through), "corner_concave")

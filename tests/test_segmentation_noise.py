@@ -143,7 +143,8 @@ def test_vertices_are_as_uncertain_as_they_say():
     along = (p2 - p1) / found.length[:, None]
     for side, (p, kind) in enumerate(((p1, found.end1), (p2, found.end2))):
         vertex = kind == END_VERTEX
-        assert vertex.mean() > 0.99
+        # The others are those that the next wall is not known to reach: see the next test.
+        assert vertex.mean() > 0.97
         off = p[vertex, None] - corners
         nearest = np.argmin(np.hypot(*off.transpose(2, 0, 1)), axis=1)
         error = (off[np.arange(len(off)), nearest] * along[vertex]).sum(axis=1)

@@ -86,10 +86,16 @@ def describe_ends(
     ends = _extremes(beams, np.stack((first, last)), lines, laser, config)
     kind, reached, passing = _beyond(beams, ends, lines, laser, config)
     a, b = _vertices(beams, ends, lines, config)
-    for side, own, other, point in ((1, a, b, first), (0, b, a, last)):
-        # The beam of the other wall's extreme point.
-        kind[side, own], reached[side, own] = END_VERTEX, ends.met[side, own]
-        passing[side, own] = _meeting(beams, lines.take(own), point[other])
+    apart = _parted(beams, ends, lines, a, b, laser, config)
+    sure = [_meeting(beams, lines.take(own), apart) for own in (a, b)]
+    unknown = [np.abs(bracket[1] - bracket[0]) > config.vertex_width for bracket in sure]
+    at_end = np.stack((beams.cell[last[a]], beams.cell[first[b]]))
+    for side, own, k in ((1, a, 0), (0, b, 1)):
+        bracket = np.where(unknown[k], sure[k], _meeting(beams, lines.take(own), at_end))
+        met = ~unknown[1 - k]
+        at = own[met]
+        kind[side, at] = END_VERTEX
+        reached[side, at], passing[side, at] = bracket[[k, 1 - k]][:, met]
     true = kind != END_OPEN
     width = np.minimum(np.abs(passing - reached), 4.0 * LOOSE * ends.spacing)
     # The middle of the bearings, as the beams lie anyhow: nearer to the laser than half way.
@@ -104,7 +110,9 @@ def describe_ends(
     lever = along - (nx * fit.cy - ny * fit.cx)
     across = (fit.var_d + lever * lever * fit.var_alpha) * ends.slope**2
     variance = np.where(
-        true, (width * width + blind * blind) / 12.0 + across, ends.spacing**2 / 3.0 + ends.range_blur**2
+        true,
+        (width * width + blind * blind) / 12.0 + across,
+        ends.spacing**2 / 3.0 + ends.range_blur**2,
     )
     return Ends(
         d * nx - along * ny,
@@ -178,11 +186,46 @@ def _beyond(
     return np.where(free_end, END_FREE, END_OPEN).astype(np.int64), reached, passing
 
 
-def _meeting(beams: Beams, lines: Lines, point: Index) -> Array:
-    """Where on the lines (K,) the beams of points (K,) meet them."""
-    dx, dy = beams.dx.take(point), beams.dy.take(point)
-    cosine = np.maximum(lines.nx * dx + lines.ny * dy, GRAZING)
-    return np.asarray(lines.d * (lines.nx * dy - lines.ny * dx) / cosine)
+def _meeting(beams: Beams, lines: Lines, cell: Index) -> Array:
+    """Where on the lines (K,) the beams of cells (..., K) meet them."""
+    beam = beams.beam(cell)
+    ux, uy = beams.ux.take(beam), beams.uy.take(beam)
+    cosine = np.maximum(lines.nx * ux + lines.ny * uy, GRAZING)
+    return np.asarray(lines.d * (lines.nx * uy - lines.ny * ux) / cosine)
+
+
+def _parted(
+    beams: Beams,
+    ends: _Extremes,
+    lines: Lines,
+    a: Index,
+    b: Index,
+    laser: LaserConfig,
+    config: SegmentationConfig,
+) -> Index:
+    """Cells (2, V) of the last beam that is on wall a only and the first that is on wall b only.
+
+    A point within the noise of both lines may be of either wall; where both may be, the next
+    beam is taken without a question.
+    """
+    width = beams.ranges.shape[1]
+    gap = (ends.column[0, b] - ends.column[1, a]) % width
+    step = np.arange(-1, LOOSE + 2)[:, None]
+    cell = ends.row[1, a] * width + (ends.column[1, a] + step) % width
+    r, beam = beams.ranges.take(cell), beams.beam(cell)
+    ux, uy = beams.ux.take(beam), beams.uy.take(beam)
+    sigma = laser.sigma_range + laser.sigma_range_scale * np.where(np.isfinite(r), r, 0.0)
+    on = []
+    for nx, ny, d in (lines.take(a), lines.take(b)):
+        cosine = np.maximum(nx * ux + ny * uy, GRAZING)
+        on.append(np.abs(r * cosine - d) <= config.outlier_sigmas * sigma * cosine)
+    on_b = on[1] & ~on[0] & (step >= 0) & (step <= gap)
+    first = np.where(on_b.any(axis=0), np.argmax(on_b, axis=0), gap + 2)
+    index = np.arange(len(step))[:, None]
+    on_a = on[0] & ~on[1] & (index < first)
+    last = np.where(on_a.any(axis=0), len(step) - 1 - np.argmax(on_a[::-1], axis=0), 0)
+    every = np.arange(len(a))
+    return np.stack((cell[last, every], cell[first, every]))
 
 
 def _vertices(

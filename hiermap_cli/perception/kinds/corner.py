@@ -55,9 +55,13 @@ class Corners:
     def find(self, lines: LineSet, taken: NDArray[np.bool_], config: LandmarkConfig) -> list[Group]:  # noqa: ARG002 - corners share their walls
         """Lines whose ends meet: `lines` are (in, out).
 
-        One of the two truly ends where they cross, within half of `corner_gap` and as near as
-        its sigma has it; so does the other, or it was not seen to its end and comes within
-        `corner_gap`.
+        The ways from both ends to where the lines cross are nothing but errors: as a chi-square
+        of the two, by what is known of the ends, and by how well walls are lines. A wall that
+        was not seen to its end may stop short of the corner by more, but was not seen beyond it.
+        An edge before a wall fails by both: it stops short, and beyond it the wall goes on.
+        Where neither wall truly ends there, half of that chi-square is allowed; where only one
+        does, its end must be known to be near the vertex: one that fits because it may be
+        anywhere tells nothing.
         """
         turn = wrap(lines.theta[None, :] - lines.theta[:, None])
         wide = (np.abs(turn) > config.min_angle) & (np.abs(turn) < np.pi - config.min_angle)
@@ -65,18 +69,22 @@ class Corners:
         if not len(i):
             return []
         V = intersect(lines.hesse[i], lines.hesse[j])
-        gap_in = np.abs(along_of(lines.hesse[i], V) - lines.along[i, 1])
-        gap_out = np.abs(along_of(lines.hesse[j], V) - lines.along[j, 0])
-        ends_in, ends_out = lines.kind[i, 1] != END_OPEN, lines.kind[j, 0] != END_OPEN
-        half = 0.5 * config.corner_gap
-        ok = gap_in < np.where(ends_in, half, config.corner_gap)
-        ok &= gap_out < np.where(ends_out, half, config.corner_gap)
-        ok &= ends_in | ends_out
-        i, j, cost = i[ok], j[ok], (gap_in + gap_out)[ok]
-        reach = config.corner_touch + config.corner_sigmas * _gap_sigmas(lines, i, j)
-        gaps = np.column_stack((gap_in[ok], gap_out[ok]))
-        true_ends = np.column_stack((ends_in[ok], ends_out[ok]))
-        near = (gaps < np.where(true_ends, reach, config.open_reach)).all(axis=1)
+        short = np.column_stack(
+            (
+                along_of(lines.hesse[i], V) - lines.along[i, 1],
+                lines.along[j, 0] - along_of(lines.hesse[j], V),
+            )
+        )
+        true = np.column_stack((lines.kind[i, 1], lines.kind[j, 0])) != END_OPEN
+        ok = (np.abs(short) < config.corner_gap).all(axis=1)
+        i, j, short, true = i[ok], j[ok], short[ok], true[ok]
+        if not len(i):
+            return []
+        rough = np.where(true | (short < 0.0), config.corner_touch, config.open_reach)
+        sigmas = np.where(true, _gap_sigmas(lines, i, j), 0.0)
+        cost = (short**2 / (rough**2 + sigmas**2)).sum(axis=1)
+        near = cost < np.where(true.any(axis=1), 1.0, 0.5) * config.corner_chi2
+        near &= true.all(axis=1) | (short + 2.0 * sigmas < config.corner_known).all(axis=1)
         i, j, cost = i[near], j[near], cost[near]
         candidates = [
             (float(c), (("in", a), ("out", b)))

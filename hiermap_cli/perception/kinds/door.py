@@ -64,8 +64,6 @@ class Doors:
         """Pose, the two jambs as points, and the jamb lines as segments."""
         jambs = _jambs(lines, group)
         width = _weight(lines, group)
-        pose = door_pose(jambs.lines, jambs.points, group.choice, width)
-        D = door_pose_D_jambs(jambs.lines, jambs.points, group.choice, width)
         # d (alpha1, P1, alpha2, P2) / d the lines' parameters.
         by_lines = np.zeros((6, 8))
         for k in range(2):
@@ -73,6 +71,13 @@ class Doors:
             by_lines[3 * k + 1 : 3 * k + 3, [4 * k, 4 * k + 1, 4 * k + 2 + group.sides[k]]] = (
                 jambs.D_line[k]
             )
+        if group.choice in (FROM_FIRST, FROM_SECOND):
+            # The other jamb may be seen on the wall's other face: this face is the door's line.
+            k = 0 if group.choice == FROM_FIRST else 1
+            by_lines = jamb_on_line_D_jambs(jambs.lines, jambs.points, k) @ by_lines
+            jambs = jambs._replace(points=jamb_on_line(jambs.lines, jambs.points, k))
+        pose = door_pose(jambs.lines, jambs.points, group.choice, width)
+        D = door_pose_D_jambs(jambs.lines, jambs.points, group.choice, width)
         pose_D_lines = D @ by_lines
         R_l_k = se2.invert(pose)
         shapes: list[SegmentShape | PointShape] = []
@@ -119,6 +124,28 @@ def _weight(lines: LineSet, group: Group) -> float:
     """The second line's share in the heading: a line's heading is known by its length cubed."""
     first, second = (float(lines.length[i]) ** 3 for i in group.lines)
     return second / (first + second)
+
+
+def jamb_on_line(hesse: Array, jambs: Array, k: int) -> Array:
+    """The jambs (2, 2) with the other one at its foot on jamb k's line."""
+    t = np.array([-np.sin(hesse[k, 0]), np.cos(hesse[k, 0])])
+    out = jambs.copy()
+    out[1 - k] = jambs[k] + t * (t @ (jambs[1 - k] - jambs[k]))
+    return out
+
+
+def jamb_on_line_D_jambs(hesse: Array, jambs: Array, k: int) -> Array:
+    """d (alpha1, jamb_on_line, alpha2, ...) / d (alpha1, x1, y1, alpha2, x2, y2), (6, 6)."""
+    alpha = hesse[k, 0]
+    t = np.array([-np.sin(alpha), np.cos(alpha)])
+    t_by_alpha = -np.array([np.cos(alpha), np.sin(alpha)])
+    apart = jambs[1 - k] - jambs[k]
+    J = np.eye(6)
+    own, other = slice(3 * k + 1, 3 * k + 3), slice(4 - 3 * k, 6 - 3 * k)
+    J[other, other] = np.outer(t, t)
+    J[other, own] = np.eye(2) - np.outer(t, t)
+    J[other, 3 * k] = t_by_alpha * (t @ apart) + t * (t_by_alpha @ apart)
+    return J
 
 
 def door_pose(hesse: Array, jambs: Array, choice: int, weight: float) -> Array:
@@ -209,6 +236,9 @@ def _passages(lines: LineSet, config: LandmarkConfig) -> list[Group]:
         along = np.abs(tilt) < config.jamb_tilt
         for side, u in ((1, 0.5 * width), (0, -0.5 * width)):
             away = np.hypot(ends[..., 0] - u, ends[..., 1])
+            # Of a thick wall's inner face the end on this area's side is the jamb.
+            both = ~along & (away < config.jamb_radius).all(axis=1)
+            away[both, np.argmax(ends[both, :, 1], axis=1)] = np.inf
             away[lines.kind == END_OPEN] = np.inf
             away[along, 1 - side] = np.inf
             away[~along] += 0.5 * config.jamb_radius  # an end of a wall in line goes before
