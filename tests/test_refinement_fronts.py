@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hiermap_cli.mapping.refinement.fronts import Piece, factorise, plan
+from hiermap_cli.estimation.fronts import Piece, factorise, plan
 
 
 def problem(seed: int, groups: int, pieces: int, size: int):

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiermap_cli.estimation.fronts import Piece, factorise, plan
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.refinement.fronts import Piece, factorise, plan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiermap_cli.estimation.fronts import Factor, Piece, Plan, factorise, plan
 from hiermap_cli.estimation.motion import PARAMETERS, prior_covariance
-from hiermap_cli.mapping.refinement.fronts import Factor, Piece, Plan, factorise, plan
 from hiermap_cli.mapping.refinement.problem import (
     Layout,
     Terms,
