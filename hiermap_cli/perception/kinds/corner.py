@@ -59,9 +59,8 @@ class Corners:
         of the two, by what is known of the ends, and by how well walls are lines. A wall that
         was not seen to its end may stop short of the corner by more, but was not seen beyond it.
         An edge before a wall fails by both: it stops short, and beyond it the wall goes on.
-        Where neither wall truly ends there, half of that chi-square is allowed; where only one
-        does, its end must be known to be near the vertex: one that fits because it may be
-        anywhere tells nothing.
+        Where neither wall truly ends there, half of that chi-square is allowed. An end must be
+        known to be near the vertex: one that fits because it may be anywhere tells nothing.
         """
         turn = wrap(lines.theta[None, :] - lines.theta[:, None])
         wide = (np.abs(turn) > config.min_angle) & (np.abs(turn) < np.pi - config.min_angle)
@@ -84,7 +83,7 @@ class Corners:
         sigmas = np.where(true, _gap_sigmas(lines, i, j), 0.0)
         cost = (short**2 / (rough**2 + sigmas**2)).sum(axis=1)
         near = cost < np.where(true.any(axis=1), 1.0, 0.5) * config.corner_chi2
-        near &= true.all(axis=1) | (short + 2.0 * sigmas < config.corner_known).all(axis=1)
+        near &= (short + 2.0 * sigmas < config.corner_known).all(axis=1)
         i, j, cost = i[near], j[near], cost[near]
         candidates = [
             (float(c), (("in", a), ("out", b)))
