@@ -54,7 +54,7 @@ batch: $(VENV)/.runtime
 	$(BIN)/hiermap batch datasets/jobs.yaml -o $(OUT)/batch
 
 test: $(VENV)/.development
-	$(BIN)/python -m pytest -m "not slow and not bench"
+	$(BIN)/python -m pytest -m "not slow and not bench" -n auto --dist loadfile
 
 test-slow: $(VENV)/.development
 	$(BIN)/python -m pytest -m slow
