@@ -16,6 +16,7 @@ from hiermap_cli.mapping.environment import Anchors, Link, compose_environment
 from hiermap_cli.mapping.lost import constellations, through_walls
 from hiermap_cli.mapping.relocation import area_lines
 from hiermap_cli.mapping.run import map_log
+from hiermap_cli.mapping.whereabouts import settled
 from hiermap_cli.perception.views import SegmentView
 from hiermap_cli.simulation.simulator import simulate
 from hiermap_cli.simulation.world import build_world, load_world
@@ -25,6 +26,7 @@ LIFTS = {
     "room": {"at": 51.5, "to": [3.95, 4.68, -2.63]},
     "ring": {"at": 49.0, "to": [3.9, 3.45, 0.39]},
 }
+CORRIDOR_LIFT = {"at": 78.0, "to": [8.6, 1.2, 3.1416]}  # from (11.6, 1.2), facing the other way
 
 
 @cache
@@ -115,6 +117,28 @@ def test_constellations_find_a_place_without_any_prior(pose):
     found = constellations(area_lines(area, 3), seen)
     off = se2.between(R_a_v, found)
     assert (np.hypot(off[:, 0], off[:, 1]) + np.abs(off[:, 2])).min() < 1e-6
+
+
+def test_a_pose_is_brought_to_where_its_walls_lie_on_the_lines():
+    area, view = walled(ROOM_WALLS)
+    off = np.array([[0.06, -0.04, 0.02], [-0.05, 0.05, -0.03]])
+    found = settled(area_lines(area, 3), view, off, Config().relocation)
+    np.testing.assert_allclose(found, np.zeros((2, 3)), atol=2e-3)
+
+
+@pytest.mark.slow
+def test_a_robot_put_down_in_a_corridor_is_found_before_it_maps_it_twice():
+    """From anywhere in the corridor the same two walls are seen, and the doors tell where."""
+    spec = load_world(DATASETS / "office.yaml").spec
+    plain = spec.model_dump(exclude_none=True)
+    plain["way_points"] = plain["way_points"][:17]
+    plain["lifts"] = [CORRIDOR_LIFT]
+    simulation = simulate(build_world(type(spec).model_validate(plain)), np.random.default_rng(0))
+    result = map_log(simulation.blocks(), Config())
+    off, t = errors(simulation, result.trajectory), seconds(simulation)
+    assert [event.kind for event in result.events].count("lost") == 1
+    assert off[t < CORRIDOR_LIFT["at"] - 0.5].max() < 0.05
+    assert off[-1] < 0.1
 
 
 def test_a_fragment_may_be_joined_by_an_area_that_was_discovered_from_it():

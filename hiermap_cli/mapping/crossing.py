@@ -16,7 +16,7 @@ from hiermap_cli.estimation.stochastic_map import (
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap, area_from_here
 from hiermap_cli.mapping.looks import LookRecord
-from hiermap_cli.mapping.lost import Search
+from hiermap_cli.mapping.lost import Place, Search
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.passages import (
     KEPT,
@@ -251,9 +251,8 @@ class Crossings:
         if not self._recogniser.due(self.trace.length):
             return None
         if self._apart:
-            others = [(h, area) for h, area in enumerate(self.areas) if h not in self._apart]
             self._recogniser.asked(self.trace.length)
-            return self._search.ask(self.area, now.key, self.trace, others)
+            return self._search.ask(self.area, now.key, self.trace, self._elsewhere())
         mine = self._same_as(self.current)
         at_home = self._on_known_ground()
         # An area that was cut for its size goes on ahead of the cut.
@@ -270,6 +269,15 @@ class Crossings:
                 R_h_c = se2.compose(R_h_r, se2.invert(self.area.V.robot))
                 asked.append(Asked(h, self.areas[h], self._all_along_in(region, R_h_c)))
         return self._recogniser.ask(self.area, now.key, self.trace.length, asked)
+
+    def _elsewhere(self) -> dict[int, Place]:
+        """All areas but those that the robot has been in since it was lost."""
+        frames = self._recogniser.frames
+        return {
+            h: Place(area, frames[h].pose, self.places.seen(h))
+            for h, area in enumerate(self.areas)
+            if h not in self._apart and h in frames
+        }
 
     def _on_known_ground(self) -> bool:
         """Whether the robot has been about here before, in the present area."""

@@ -15,6 +15,7 @@ import numpy as np
 from hiermap_cli.estimation.stochastic_map import predict
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_filter import observe
+from hiermap_cli.mapping.carried import CarryWatch
 from hiermap_cli.mapping.direction import DirectionWatch, Drive
 from hiermap_cli.mapping.standstill import Standstill
 
@@ -30,6 +31,18 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 MOVED = 0.04  # metres or radians that a robot which is said to stand has moved
+
+
+class Coming(NamedTuple):
+    """How a scan's robot has come, by what is told.
+
+    increment: (3,) since the last key scan, as it is believed. belied: whether the robot may
+    move unnoticed by its odometry. carried: whether it was put down elsewhere.
+    """
+
+    increment: Array
+    belied: bool
+    carried: bool
 
 
 class Overdue(NamedTuple):
@@ -48,21 +61,21 @@ class Driving:
     stretches: Stretches
     direction: DirectionWatch = field(init=False)
     _standstill: Standstill = field(init=False)
+    _carry: CarryWatch = field(init=False)
     _odometry: Array = field(default_factory=lambda: np.zeros(3))
     _overdue: Overdue | None = None
 
     def __post_init__(self) -> None:
         self.direction = DirectionWatch(self.stepper)
         self._standstill = Standstill(self.stepper.config.odometry_faults)
+        self._carry = CarryWatch(self.stepper.config.lost)
 
-    def come(self, stamp_ns: int, odometry: Array, ranges: Array) -> tuple[Array, bool]:
-        """The next scan: the increment (3,) since the last key scan, as it is believed.
-
-        And whether the robot may move unnoticed by its odometry, (3,). ranges: (n,) of the scan.
-        """
+    def come(self, stamp_ns: int, odometry: Array, ranges: Array) -> Coming:
+        """The next scan, with its odometry (3,) and ranges (n,)."""
         self._odometry = odometry
         belied = self._standstill.belied(odometry, ranges)
-        return self.direction.come(stamp_ns, odometry), belied
+        carried = self._carry.put_down(odometry, ranges)
+        return Coming(self.direction.come(stamp_ns, odometry), belied, carried)
 
     def unnoticed(self, area: AreaMap, increment: Array, view: SegmentView, key: int) -> bool:
         """Whether the walls fit clearly better if the robot has not come as its odometry tells."""
@@ -101,6 +114,7 @@ class Driving:
 
     def missed(self, number: int, drive: Drive, after: AreaMap) -> None:
         """Note that odometry was missing on a drive, if the walls show that the robot moved."""
+        self._carry.forget()
         moved = se2.between(drive.before.V.robot, after.V.robot)
         if np.hypot(moved[0], moved[1]) > MOVED or abs(moved[2]) > MOVED:
             stamps_ns = drive.leg.stamps_ns

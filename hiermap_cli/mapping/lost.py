@@ -12,16 +12,17 @@ fragment is joined there.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.recognition import Recognised, lately_seen, walls_explained
 from hiermap_cli.mapping.relocation import area_lines, explained_length
+from hiermap_cli.mapping.whereabouts import Seen, compared, seen_lately, settled
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]
 
+LIKELY = 0.7  # of what a place must explain, before it is laid on the walls exactly
+APART, APART_ANGLE = 0.8, 0.25  # metres and radians between places that are two
 MAX_WALLS, SCORED = 10, 100  # walls that hypotheses are made of; hypotheses that are scored
 CELL, CELL_ANGLE = 0.25, 0.1  # metres and radians within which hypotheses are one
 
@@ -54,6 +57,18 @@ def through_walls(area: AreaMap, origins: Array, ends: Array, config: Config) ->
     return float(np.count_nonzero(passes.any(axis=1)) / len(ends))
 
 
+class Place(NamedTuple):
+    """An area in which a lost robot may be.
+
+    area: its map. frame: (3,) where it lies, as far as that is known, to tell one place in two
+    areas from two places. seen: what was seen of it.
+    """
+
+    area: AreaMap
+    frame: Array
+    seen: Seen
+
+
 @dataclass(slots=True)
 class Search:
     """Lays what was mapped lately on the walls of all areas, wherever they are."""
@@ -66,24 +81,24 @@ class Search:
         self._before = None
 
     def ask(
-        self, here: AreaMap, key: int, trace: Trace, others: Sequence[tuple[int, AreaMap]]
+        self, here: AreaMap, key: int, trace: Trace, places: Mapping[int, Place]
     ) -> Recognised | None:
         """The area, and place in it, that is found for the second time, if one is."""
         c = self.config
         view, middle = lately_seen(here, key, c.areas)
         if len(view.length) < c.areas.least_walls:
             return None
-        found = self._best(view, others)
+        R_c_v = np.array([*middle, 0.0])
+        found = self._best(view, se2.invert(R_c_v), seen_lately(trace), places)
         if found is None:
             self._before = None
             return None
         number, pose, explained = found
-        R_h_c = se2.compose(pose, se2.invert(np.array([*middle, 0.0])))
-        area = dict(others)[number]
-        walls = walls_explained(area, view, pose, c)
-        if walls < c.areas.least_walls or self._looks_through(area, R_h_c, trace):
+        walls = walls_explained(places[number].area, view, pose, c)
+        if walls < c.areas.least_walls:
             self._before = None
             return None
+        R_h_c = se2.compose(pose, se2.invert(R_c_v))
         total = float(view.length.sum())
         return self._second(Recognised(number, R_h_c, explained, total, walls), here, trace)
 
@@ -98,42 +113,52 @@ class Search:
         self._before = (trace.length, found)
         return None
 
-    def _looks_through(self, area: AreaMap, R_h_c: Array, trace: Trace) -> bool:
-        """Whether the last scans would have looked through the walls of that place."""
-        if not trace.ends:
-            return False
-        shares = [
-            through_walls(area, moved(R_h_c, origin[None]), moved(R_h_c, ends), self.config)
-            for origin, ends in zip(trace.origins[-20:], trace.ends[-20:], strict=True)
-        ]
-        return float(np.mean(shares)) > self.config.lost.through
-
     def _best(
-        self, view: SegmentView, others: Sequence[tuple[int, AreaMap]]
+        self, view: SegmentView, R_v_c: Array, seen: Seen, places: Mapping[int, Place]
     ) -> tuple[int, Array, float] | None:
-        """Area, pose (3,) of the view in it, and metres explained, if that is well ahead."""
+        """Area, pose (3,) of the view in it, and metres explained, if all else is contradicted.
+
+        R_v_c: the present area's frame in the view's; seen: what was seen lately, in that area.
+        """
         c = self.config
+        enough = max(c.lost.min_explained, c.lost.min_share * float(view.length.sum()))
         number: list[int] = []
         poses, score = [np.zeros((0, 3))], [np.zeros(0)]
-        for h, area in others:
-            lines = area_lines(area, c.relocation.least_seen)
+        for h, place in places.items():
+            lines = area_lines(place.area, c.relocation.least_seen)
             tried = constellations(lines, view)
             if len(tried):
+                explained = explained_length(lines, view, tried, c.relocation)
+                tried = tried[explained >= LIKELY * enough]
+            if len(tried):
+                tried = settled(lines, view, tried, c.relocation)
                 number += [h] * len(tried)
                 poses.append(tried)
                 score.append(explained_length(lines, view, tried, c.relocation))
+        if not number:
+            return None
         area_of, all_poses = np.array(number, dtype=np.int64), np.concatenate(poses)
         explained = np.concatenate(score)
-        if not len(explained):
+        share, against = np.zeros(len(number)), np.ones(len(number))
+        for h in dict.fromkeys(number):
+            of = area_of == h
+            share[of], against[of] = compared(
+                seen, places[h].seen, se2.compose(all_poses[of], R_v_c)
+            )
+        known = (share > c.lost.min_seen) & (explained >= enough)
+        if not known.any():
             return None
-        best = int(np.argmax(explained))
+        best = int(np.argmin(np.where(known, against, np.inf)))
         pose = all_poses[best]
-        apart = area_of != area_of[best]
-        apart |= np.hypot(*(all_poses[:, :2] - pose[:2]).T) > 2.0 * CELL
-        apart |= np.abs(se2.wrap(all_poses[:, 2] - pose[2])) > 2.0 * CELL_ANGLE
-        second = float(explained[apart].max()) if apart.any() else 0.0
-        enough = max(c.lost.min_explained, c.lost.min_share * float(view.length.sum()))
-        if explained[best] < enough or second > c.lost.second * explained[best]:
+        frames = np.array([places[h].frame for h in number])
+        at = se2.compose(frames, all_poses)
+        apart = np.hypot(*(at[:, :2] - at[best, :2]).T) > APART
+        apart |= np.abs(se2.wrap(at[:, 2] - at[best, 2])) > APART_ANGLE
+        rivals = apart & (share > 0.5 * c.lost.min_seen)
+        second = float(against[rivals].min()) if rivals.any() else 1.0
+        if against[best] > c.lost.max_against or second < c.lost.clear * max(
+            against[best], c.lost.floor
+        ):
             return None
         return int(area_of[best]), pose, float(explained[best])
 

@@ -12,6 +12,7 @@ import numpy as np
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.freespace import CELL, FreeGrid, Region
 from hiermap_cli.mapping.portals import door_frame
+from hiermap_cli.mapping.whereabouts import Seen, seen
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,6 +79,7 @@ class Places:
     _last: tuple[float, float] = (-np.inf, 0.0)
     _area: int = -1
     _regions: dict[int, tuple[int, int, Region]] = field(default_factory=dict)
+    _seen: dict[int, tuple[int, Seen]] = field(default_factory=dict)
 
     def look(self, area: int, trace: Trace, behind: float) -> None:
         """Scans taken more than `behind` metres of path ago belong to this area."""
@@ -157,6 +159,14 @@ class Places:
         region = grid.region(self.path(area), bars, self.widest_door, NEAR_BY)
         self._regions[area] = (grid.scans, doors, region)
         return region
+
+    def seen(self, area: int) -> Seen:
+        """What was seen of an area, for one that may be the same."""
+        grid = self.grids.get(area, FreeGrid())
+        known = self._seen.get(area)
+        if known is None or known[0] != grid.scans:
+            known = self._seen[area] = (grid.scans, seen(grid))
+        return known[1]
 
     def path(self, area: int) -> Array:
         """Where the robot was in an area: cells' centres (n, 2), in its frame."""
