@@ -17,7 +17,7 @@ DEMO_LOG = datasets/ring/log.mcap
 DATASETS = ring room_corridor room
 SCHEMAS = model report eval reference summary jobs
 
-.PHONY: help setup demo batch test test-slow lint format types bench real datasets schemas clean
+.PHONY: help setup demo batch test test-slow lint format types bench real sensitivity ablation datasets schemas clean
 
 help:
 	@echo "make demo       set up, then build the models of $(DEMO_LOG) into $(OUT)/demo"
@@ -28,6 +28,8 @@ help:
 	@echo "make types      mypy --strict"
 	@echo "make bench      speed and memory, as JSON in $(OUT)/bench.json"
 	@echo "make real       every real log of ../shared/data where it is present, one table"
+	@echo "make sensitivity  every threshold moved by a fifth, into docs/sensitivity.md; an hour or two"
+	@echo "make ablation   each part of the method left out, into docs/ablation.md; ten minutes"
 	@echo "make datasets   simulate the logs of datasets/ anew"
 	@echo "make schemas    write the JSON Schemas anew from the shapes of the documents"
 	@echo "make clean      remove the virtual environment and everything made"
@@ -75,6 +77,12 @@ bench: $(VENV)/.development
 
 real: $(VENV)/.development
 	$(BIN)/python tests/real/table.py
+
+sensitivity: $(VENV)/.development
+	$(BIN)/python tests/real/sensitivity.py
+
+ablation: $(VENV)/.development
+	$(BIN)/python tests/real/ablation.py
 
 datasets: $(VENV)/.runtime
 	for name in $(DATASETS); do \

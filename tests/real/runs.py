@@ -17,7 +17,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from hiermap_cli.documents.tum import TimedPoses
     from hiermap_cli.logs.records import ScanBlock
     from hiermap_cli.mapping.model import MapResult, Trajectory
+    from hiermap_cli.simulation.simulator import Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -76,7 +77,10 @@ def names() -> list[str]:
 
 
 class Watched:
-    """Blocks on their way into the mapper; keeps the odometry and the laser's view."""
+    """Blocks on their way into the mapper; keeps the odometry and the laser's view.
+
+    It can be gone through again if the blocks can.
+    """
 
     def __init__(self, blocks: Iterable[ScanBlock]) -> None:
         self._blocks = blocks
@@ -86,6 +90,7 @@ class Watched:
         self.reach = math.inf
 
     def __iter__(self) -> Iterator[ScanBlock]:
+        self._stamps, self._odometry = [], []
         for block in self._blocks:
             self._stamps.append(block.stamps_ns)
             self._odometry.append(block.odometry)
@@ -100,24 +105,36 @@ class Watched:
         return np.concatenate(self._stamps), np.concatenate(self._odometry)
 
 
-def measure(name: str, config: Config, seed: int = 0, save: Path | None = None) -> dict[str, Any]:
-    """Makes the map of a real log or world and judges it; `save` is a folder for its files."""
-    from hiermap_cli.mapping.run import map_log
+class Source(NamedTuple):
+    """A log or a simulated world, ready to be run."""
 
+    name: str
+    watched: Watched
+    simulation: Simulation | None = None
+
+
+def opened(name: str, config: Config, seed: int = 0) -> Source:
+    """A real log, read as it is gone through, or a world, simulated here and now."""
     if name in REAL_LOGS:
         from hiermap_cli.logs.recording import open_recording
 
         recording = open_recording([DATA / REAL_LOGS[name].log], config.input)
-        watched = Watched(recording.blocks())
-    else:
-        from hiermap_cli.simulation.simulator import simulate
-        from hiermap_cli.simulation.world import load_world
+        return Source(name, Watched(recording.blocks()))
+    from hiermap_cli.simulation.simulator import simulate
+    from hiermap_cli.simulation.world import load_world
 
-        world = load_world(DATASETS / f"{name}.yaml")
-        simulation = simulate(world, np.random.default_rng(seed))
-        watched = Watched(list(simulation.blocks()))  # simulated before the clock starts
-    made = time.process_time() if name not in REAL_LOGS else 0.0
-    result = map_log(watched, config)
+    world = load_world(DATASETS / f"{name}.yaml")
+    simulation = simulate(world, np.random.default_rng(seed))
+    return Source(name, Watched(list(simulation.blocks())), simulation)
+
+
+def measure(name: str, config: Config, seed: int = 0, save: Path | None = None) -> dict[str, Any]:
+    """Makes the map of a real log or world and judges it; `save` is a folder for its files."""
+    from hiermap_cli.mapping.run import map_log
+
+    source = opened(name, config, seed)  # a world is simulated before the clock starts
+    made = time.process_time() if source.simulation is not None else 0.0
+    result = map_log(source.watched, config)
     seconds = time.process_time() - made
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     if save is not None:
@@ -125,23 +142,29 @@ def measure(name: str, config: Config, seed: int = 0, save: Path | None = None) 
 
         (save / name).mkdir(parents=True, exist_ok=True)
         write_result(save / name, result)
-    stamps_ns, odometry = watched.odometry()
-    figures: dict[str, Any] = {
+    scans = len(source.watched.odometry()[0])
+    return {
         "name": name,
-        "scans": len(stamps_ns),
-        "milliseconds_a_scan": 1e3 * seconds / len(stamps_ns),
+        "scans": scans,
+        "milliseconds_a_scan": 1e3 * seconds / scans,
         "peak_megabytes": peak,
         "seconds": seconds,
         "stages": result.timing,
-        **_own_figures(result),
+        **judged(source, result),
     }
+
+
+def judged(source: Source, result: MapResult) -> dict[str, Any]:
+    """What the map says of itself, and how right it is by all that is known of the log."""
+    watched, simulation = source.watched, source.simulation
+    figures = _own_figures(result)
     tracks = {
-        "odometry": (stamps_ns, odometry),
+        "odometry": watched.odometry(),
         "filter": _poses(result.trajectory_filter),
         "final": _poses(result.trajectory),
     }
-    if name in REAL_LOGS:
-        _judge_real(figures, REAL_LOGS[name], tracks, result, watched)
+    if simulation is None:
+        _judge_real(figures, REAL_LOGS[source.name], tracks, result, watched)
     else:
         from hiermap_cli.documents.tum import TimedPoses
 
