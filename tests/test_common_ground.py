@@ -60,6 +60,16 @@ def test_what_lies_behind_a_door_is_not_common():
     assert pairs(places, frames, Bars(door, np.array([0.9]))) == [(0, 1)]  # a way round it
 
 
+def test_a_path_beyond_a_door_does_not_tell():
+    """The robot went back into the first area, and the filter had it in the second still."""
+    places = places_of(strip(4.0), strip(8.0), paths=[(0.5, 3.5), (0.5, 7.9)])
+    frames = [[0.0, 0.0, 0.0], [7.5, 0.0, np.pi]]  # the second looks back into the first
+    door = np.array([[3.8, 0.0, -0.5 * np.pi]])
+    places.paths[1] = {(k, 0) for k in range(2, 36)} | {(k, 0) for k in range(40, 72)}
+    assert pairs(places, frames, Bars(door, np.array([3.0]))) == []
+    assert pairs(places, frames) == [(0, 1)]
+
+
 def test_common_ground_is_counted_once():
     places = places_of(strip(), strip(), strip())
     ground = grounds(places, np.array([[0.0, 0, 0], [0.0, 0, 0], [50.0, 0, 0]]), NO_BARS, 0.8)

@@ -30,7 +30,7 @@ _MANY = 1 << 31
 
 
 class Ground(NamedTuple):
-    """Squares of g, as sorted numbers, that an area's beams have passed, and of its path.
+    """Squares of g, as sorted numbers, that an area's beams have passed, and of its path in them.
 
     size: square metres of its free space.
     """
@@ -72,12 +72,14 @@ def grounds(places: Places, frames: Array, bars: Bars, opening: float) -> list[G
     for i, frame in enumerate(frames):
         path = places.path(i)
         if i not in places.grids:
-            found.append(Ground(_NONE, _squares(frame, path), 0.0))
+            found.append(Ground(_NONE, _NONE, 0.0))
             continue
         grid = places.grids[i]
         region = grid.region(path, bars.within(frame, grid.bounds()), opening)
-        centres = region.centres()
-        found.append(Ground(_squares(frame, centres), _squares(frame, path), region.area()))
+        seen = _squares(frame, region.centres())
+        # The area may go on behind a door that was noticed later only.
+        inside = _squares(frame, path[region.inside(path)])
+        found.append(Ground(seen, inside, region.area()))
     return found
 
 
@@ -132,9 +134,8 @@ def _bounds(ground: Sequence[Ground]) -> tuple[Index, Index]:
     """The least and greatest square (A, 2) of every area; of one without any they never meet."""
     low, high = np.full((len(ground), 2), _MANY), np.full((len(ground), 2), -_MANY)
     for i, one in enumerate(ground):
-        every = np.concatenate((one.seen, one.path))
-        if len(every):
-            x = (every + _MANY // 2) // _MANY
-            at = np.column_stack((x, every - x * _MANY))
+        if len(one.seen):
+            x = (one.seen + _MANY // 2) // _MANY
+            at = np.column_stack((x, one.seen - x * _MANY))
             low[i], high[i] = at.min(axis=0), at.max(axis=0)
     return low, high
