@@ -123,13 +123,16 @@ class Mapper:
 
     def _scan(self, now: Scan) -> None:
         self.stepper.noise = self.noise
-        increment, belied = self.driving.come(now.stamp_ns, now.odometry, now.ranges)
+        increment, belied, carried = self.driving.come(now.stamp_ns, now.odometry, now.ranges)
         if not self._begun:
             self._begin(now.stamp_ns)
             self.driving.direction.leg(increment)
             step, _ = self._observe(now)
             self._record(now, np.zeros(3), step)
             self.trail.key(now.stamp_ns, self.current, self.area.V)
+            return
+        if carried:
+            self._put_down(now, increment)
             return
         c = self.config.filter
         missing = belied and self.driving.unnoticed(self.area, increment, now.view, self.key)
@@ -199,19 +202,29 @@ class Mapper:
         self.key -= n
         self.counts = first.counts
         self._wait(first.drive)
-        self.trail.finish(self._motion)
-        self.driving.stretches.begin(
-            "lost", first.drive.leg.stamps_ns[0], astray[-1].now.stamp_ns, area=self._name()
-        )
-        self.current = self.crossings.set_apart(self.key, first.travelled)
-        self.trail.enter(self.current, self.area.V)
-        self.driving.direction.forget()
-        self._key(first.now, first.drive._replace(before=self.area, trusted=False), at_origin=True)
+        self._adrift(first.now, first.drive, first.travelled, astray[-1].now.stamp_ns)
         for one in astray[1:]:
             increment = one.drive.increments[-1]
             motion = self.stepper.motion(self.area, increment, trusted=one.drive.trusted)
             self._wait(one.drive)
             self._key(one.now, one.drive._replace(before=self.area, motion=motion))
+
+    def _put_down(self, now: Scan, increment: Array) -> None:
+        """The robot was carried: what it saw until then stands, it goes on by itself."""
+        self._astray = []
+        drive = self.driving.drive(self.area, self.current, increment, self.trail, missing=True)
+        self._adrift(now, drive, self.crossings.trace.length, now.stamp_ns)
+
+    def _adrift(self, first: Scan, drive: Drive, travelled: float, noticed_ns: int) -> None:
+        """Begin an area that hangs on nothing with its first scan; `drive` has not led there."""
+        self.trail.finish(self._motion)
+        self.driving.stretches.begin(
+            "lost", drive.leg.stamps_ns[0], noticed_ns, area=self._name()
+        )
+        self.current = self.crossings.set_apart(self.key, travelled)
+        self.trail.enter(self.current, self.area.V)
+        self.driving.direction.forget()
+        self._key(first, drive._replace(before=self.area, trusted=False), at_origin=True)
 
     def _record(self, now: Scan, increment: Array, step: Step, *, trusted: bool = True) -> None:
         """Keep a key scan for the refinement, if there will be one."""
