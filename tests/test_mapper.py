@@ -7,14 +7,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from estimation_cases import assembled
 from world_cases import DATASETS, SMALL_WORLDS, TWO_ROOMS, world_of
 
 from hiermap_cli.config import Config, NoiseConfig
 from hiermap_cli.evaluation.consistency import first_pose_alignment, landmark_nees, robot_nees
 from hiermap_cli.evaluation.trajectory import ate
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.assembly import assemble
-from hiermap_cli.mapping.levels import compose_levels
 from hiermap_cli.mapping.mapper import Mapper, run_filter
 from hiermap_cli.mapping.run import map_log
 from hiermap_cli.simulation.simulator import simulate
@@ -64,8 +63,7 @@ def cut(blocks, scans):
 def filtered(blocks, config=None):
     """The mapper and its result."""
     mapper, _ = run_filter(iter(blocks), Config() if config is None else config)
-    levels = compose_levels(mapper)
-    return mapper, assemble(mapper, levels, levels)
+    return mapper, assembled(mapper)
 
 
 @cache
