@@ -70,6 +70,25 @@ def test_a_path_beyond_a_door_does_not_tell():
     assert pairs(places, frames) == [(0, 1)]
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_an_area_is_where_it_began_if_no_other_area_is_there(known):
+    """A room of 3 m entered by a door at x = 0, and left again by it unnoticed: 5 m beyond."""
+    both = FreeGrid(np.ones((90, 20), np.uint8), np.zeros((90, 20), np.uint8), (-60, -10), scans=1)
+    corridor = strip(6.0, 2.0)
+    places = places_of(both, corridor, paths=[(-5.0, 2.8), (0.5, 5.5)])
+    # The other area is the corridor, or else lies somewhere else.
+    frames = np.array([[0.0, 0.0, 0.0], [-6.0 if known else 50.0, 0.0, 0.0]])
+    bars = Bars(np.array([[0.0, 0.0, 0.5 * np.pi]]), np.array([2.0]))
+    places.paths[0].discard((0, 0))
+    first, other = grounds(places, frames, bars, 0.8)
+    if known:
+        assert 0.0 < first.way[:, 0].min() < first.way[:, 0].max() < 3.0
+        assert not np.intersect1d(first.seen, other.seen).size
+    else:
+        # Nobody else has seen either part: the larger one tells.
+        assert first.way[:, 0].max() < 0.0
+
+
 def test_common_ground_is_counted_once():
     places = places_of(strip(), strip(), strip())
     ground = grounds(places, np.array([[0.0, 0, 0], [0.0, 0, 0], [50.0, 0, 0]]), NO_BARS, 0.8)

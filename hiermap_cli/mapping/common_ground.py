@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.freespace import CELL
 from hiermap_cli.mapping.places import BESIDE
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]
 
+BEYOND = 2.0  # metres of path behind a door that are no mere turn in it
+BEGAN = 0.5  # metres from an area's origin, where its path begins behind a door
 SQUARE = 0.2  # metres: ground of several areas is compared by such squares
 _MANY = 1 << 31
 
@@ -32,12 +35,13 @@ _MANY = 1 << 31
 class Ground(NamedTuple):
     """Squares of g, as sorted numbers, that an area's beams have passed, and of its path in them.
 
-    size: square metres of its free space.
+    size: square metres of its free space. way: (k, 2) cells of its path there, in its frame.
     """
 
     seen: Index
     path: Index
     size: float
+    way: Array
 
 
 class Bars(NamedTuple):
@@ -67,30 +71,55 @@ def _bar(door: Array, half: float) -> Array:
 
 
 def grounds(places: Places, frames: Array, bars: Bars, opening: float) -> list[Ground]:
-    """The ground of every area within all doors, be they its own or not. frames: (A, 3) in g."""
-    found = []
+    """The ground of every area within all doors, be they its own or not. frames: (A, 3) in g.
+
+    A door parts the path of an area in which the robot went through it and did not notice. The
+    larger part counts; but that in which the area began, at its frame's origin, if no other area
+    has seen it.
+    """
+    found = [
+        _ground(i, places.path(i), places, frame, bars, opening) for i, frame in enumerate(frames)
+    ]
+    out = list(found)
     for i, frame in enumerate(frames):
         path = places.path(i)
-        if i not in places.grids:
-            found.append(Ground(_NONE, _NONE, 0.0))
+        if (len(path) - len(found[i].way)) * CELL < BEYOND:
             continue
-        grid = places.grids[i]
-        region = grid.region(path, bars.within(frame, grid.bounds()), opening)
-        seen = _squares(frame, region.centres())
-        # The area may go on behind a door that was noticed later only.
-        inside = _squares(frame, path[region.inside(path)])
-        found.append(Ground(seen, inside, region.area()))
-    return found
+        others = [one.seen for k, one in enumerate(found) if k != i]
+        alone = path[~np.isin(_numbers(frame, path), np.concatenate(others or [_NONE]))]
+        if len(alone) * CELL >= BEYOND:
+            first = _ground(i, alone, places, frame, bars, opening)
+            if np.hypot(*first.way.T).min(initial=np.inf) < BEGAN:
+                out[i] = first
+    return out
 
 
 _NONE = np.zeros(0, dtype=np.int64)
 
 
+def _ground(
+    i: int, path: Array, places: Places, frame: Array, bars: Bars, opening: float
+) -> Ground:
+    """What of an area hangs together with most of a path (k, 2) in it."""
+    if i not in places.grids:
+        return Ground(_NONE, _NONE, 0.0, np.zeros((0, 2)))
+    grid = places.grids[i]
+    region = grid.region(path, bars.within(frame, grid.bounds()), opening)
+    whole = places.path(i)
+    way = whole[region.inside(whole)]
+    return Ground(_squares(frame, region.centres()), _squares(frame, way), region.area(), way)
+
+
 def _squares(frame: Array, points: Array) -> Index:
     """The squares of g, each once and in order, of points (n, 2) in an area's frame."""
+    return np.unique(_numbers(frame, points))
+
+
+def _numbers(frame: Array, points: Array) -> Index:
+    """The number (n,) of the square of g in which each of the points (n, 2) of an area lies."""
     there = se2.compose(frame, np.column_stack((points, np.zeros(len(points)))))[:, :2]
     x, y = np.floor(there / SQUARE).astype(np.int64).T
-    return np.unique(x * _MANY + y)
+    return np.asarray(x * _MANY + y)
 
 
 def together(ground: Sequence[Ground]) -> float:

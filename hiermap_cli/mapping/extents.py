@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 AreaKind = Literal["room", "corridor", "unknown"]
 
+QUARTERS = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 TOGETHER = 100_000  # distances that are held at a time
 
 
@@ -71,7 +72,7 @@ def extents(
     """
     grounds = []
     for parts, R, frame in zip(rooms.parts, R_0_p, frames, strict=True):
-        grid, way = _seen(parts, R, places)
+        grid, way = _seen(parts, R, rooms, places)
         if bars is None:
             barriers = [
                 _moved(R_0, b)
@@ -80,7 +81,9 @@ def extents(
             ]
         else:
             barriers = bars.within(frame, grid.bounds())
-        region = grid.region(way, barriers, config.opening).trimmed()
+        # Of cells turned into another frame the quarters: no two that touch come apart.
+        quarters = (way[:, None] + 0.25 * CELL * QUARTERS).reshape(-1, 2)
+        region = grid.region(quarters, barriers, config.opening).trimmed()
         grounds.append(Ground(entered(region, way, places.widest_door, config.min_area), way))
     near = _neighbours(grounds, frames)
     regions = [ground.region for ground in grounds]
@@ -151,13 +154,16 @@ def _neighbours(grounds: Sequence[Ground], frames: Array) -> NDArray[np.bool_]:
     return np.asarray(near)
 
 
-def _seen(parts: Sequence[int], R_0_p: Array, places: Places) -> tuple[FreeGrid, Array]:
+def _seen(
+    parts: Sequence[int], R_0_p: Array, rooms: Rooms, places: Places
+) -> tuple[FreeGrid, Array]:
     """The free space and the path (k, 2) of an area's parts, in its frame."""
     grid, path = FreeGrid(), []
     for part, R in zip(parts, R_0_p, strict=True):
         if part in places.grids:
             grid = grid.joined(places.grids[part].moved(R))
-        path.append(_moved(R, places.path(part)))
+        own = places.path(part) if rooms.paths is None else rooms.paths[part]
+        path.append(_moved(R, own))
     return grid, np.concatenate(path)
 
 

@@ -48,7 +48,9 @@ class Rooms(NamedTuple):
     parts: the filter's areas of each, the first entered first, in the order of the first.
     portals: the portals with their final kinds: "door" once for every door, with all its
     crossings; refused ones are "same". door: for each portal, the portal that stands for its
-    door, or None. refused: the candidates that are no doors. bars: the doors in g.
+    door, or None. refused: the candidates that are no doors. bars: the doors in g. paths: of each
+    of the filter's areas the cells (k, 2) of its path that lie in the area to which it belongs,
+    where that is known better than by the filter.
     """
 
     parts: tuple[tuple[int, ...], ...]
@@ -56,6 +58,7 @@ class Rooms(NamedTuple):
     door: tuple[int | None, ...]
     refused: tuple[Refused, ...]
     bars: Bars = Bars(np.zeros((0, 3)), np.zeros(0))
+    paths: tuple[Array, ...] | None = None
 
 
 def decide(
@@ -91,7 +94,11 @@ def decide(
     while (small := case.too_small(size, config.min_area)) is not None:
         beside = [m for m in case.doors() if small in case.ends(m[0])]
         case.refuse(min(beside, key=case.evidence), "the area behind it is too small")
-    return case.closed()
+    rooms = case.closed()
+    if not placed:
+        return rooms
+    ground = grounds(places, frames, rooms.bars, config.opening)
+    return rooms._replace(paths=tuple(one.way for one in ground))
 
 
 def _join_by_ground(case: _Case, places: Places, frames: Array, config: AreaConfig) -> None:
