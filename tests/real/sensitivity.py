@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
 PAGE = ROOT / "docs" / "sensitivity.md"
-SECTIONS = ("association", "relocation", "areas", "doors", "loops", "refine")
+SECTIONS = ("association", "areas", "loops", "doors", "relocation", "refine")
 LOGS = ("fr079", "aces", "office")
 FACTORS = (0.8, 1.2)
 WORSE, OFF = 2.0, 0.05  # times, and metres, beyond which a map is lost
@@ -240,12 +240,11 @@ def main() -> int:
     given = parser.parse_args()
     logs = present(given.logs)
     asked: dict[tuple[Threshold, float, str], Variant] = {}
-    for log in logs:
-        for threshold in thresholds(Config()):
-            for factor in FACTORS:
-                config = moved(threshold, factor) if given.only in str(threshold) else None
-                if config is not None:
-                    asked[threshold, factor, log] = Variant(log, config)
+    for threshold in thresholds(Config()):
+        for factor in FACTORS:
+            config = moved(threshold, factor) if given.only in str(threshold) else None
+            if config is not None:
+                asked |= {(threshold, factor, log): Variant(log, config) for log in logs}
     names = {id(one): f"{key[0]} {_percent(key[1])}" for key, one in asked.items()}
     defaults = [Variant(log, Config()) for log in logs]
     every = [*defaults, *asked.values()]

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 Figures = dict[str, Any]
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+LOGS_KEPT = 3  # by each worker
 AFTER_THE_FILTER = ("loops", "refine")  # sections that the filter does not read
 
 
@@ -117,13 +118,13 @@ def shares_the_filter(config: Config) -> bool:
     return config.refine.enabled and config.model_copy(update=same) == default
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=LOGS_KEPT)
 def _source(log: str, seed: int) -> Source:
     source = opened(log, Config(), seed)
     return source._replace(watched=Watched(list(source.watched)))
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=LOGS_KEPT)
 def _filtered(log: str, seed: int) -> bytes:
     from hiermap_cli.mapping.mapper import run_filter
 
@@ -139,7 +140,7 @@ def make_all(
 ) -> list[Figures]:
     """The figures of all variants, in their order; `told` of each one when it is there.
 
-    Those of one log should stand together: a worker keeps the log that it had last.
+    A worker keeps the logs that it had last: of many, those of one should stand together.
     """
     kept = kept or folder()
     old = {i: figures for i, one in enumerate(variants) if (figures := kept_figures(one, kept))}
