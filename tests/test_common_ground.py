@@ -153,6 +153,23 @@ def test_a_door_that_parts_nothing_is_none():
     assert decided(places, frames, placed=False).parts == ((0,), (1,), (2,))
 
 
+def test_a_door_away_from_its_area_is_the_one_that_is_there_already():
+    """The robot left the second area unnoticed, and came through the first door once more."""
+    maps, portals = three_areas()
+    third = portals[1]
+    places = places_of(strip(4.0), strip(4.0), strip(4.0), paths=[(0.2, 3.8)] * 3)
+    # Both doors lie at x = 4 of the first area; the second area is elsewhere.
+    frames = np.array([[0.0, 0.0, 0.0], [20.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    away = se2.compose(np.array([-16.0, 0.0, 0.0]), ACROSS)
+    portals[1] = third.__class__(1, third.anchor_a, 2, third.anchor_b, "door", away, 0.9, 2.0, 0.0)
+    portals[0] = third.__class__(
+        0, portals[0].anchor_a, 2, third.anchor_b, "door", portals[0].R_anchor_d, 0.9, 2.0, 0.0
+    )
+    rooms = decide(maps, portals, places, frames, DoorConfig(), AreaConfig(), placed=True)
+    assert rooms.door == (0, 0)
+    assert [p.kind for p in rooms.portals] == ["door", "open"]
+
+
 def extent_of(grid, path, *, furniture=1.2):
     places = Places(DoorConfig().max_width)
     places.grids, places.paths = {0: grid}, {0: {tuple(cell) for cell in path}}

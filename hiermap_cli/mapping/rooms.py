@@ -26,12 +26,14 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import AreaConfig, DoorConfig
     from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.mapping.common_ground import Ground
     from hiermap_cli.mapping.places import Places
     from hiermap_cli.mapping.portals import Portal
 
     Array = NDArray[np.float64]
 
 SAME_DOOR = 0.7  # metres between two sightings of one door
+STRAY = 1.5  # metres from a door to the path in an area that it is no door of
 SAME_HEADING = 0.7  # radians (of the line, not of the direction) between them
 
 
@@ -94,11 +96,11 @@ def decide(
     while (small := case.too_small(size, config.min_area)) is not None:
         beside = [m for m in case.doors() if small in case.ends(m[0])]
         case.refuse(min(beside, key=case.evidence), "the area behind it is too small")
-    rooms = case.closed()
     if not placed:
-        return rooms
-    ground = grounds(places, frames, rooms.bars, config.opening)
-    return rooms._replace(paths=tuple(one.way for one in ground))
+        return case.closed()
+    ground = grounds(places, frames, case.bars(), config.opening)
+    case.find_strays(ground, frames)
+    return case.closed()._replace(paths=tuple(one.way for one in ground))
 
 
 def _join_by_ground(case: _Case, places: Places, frames: Array, config: AreaConfig) -> None:
@@ -143,6 +145,7 @@ class _Case:
         self.group = group
         self.candidates = [i for i, p in enumerate(portals) if p.kind == "door"]
         self.refused: list[Refused] = []
+        self.strays: set[int] = set()
 
     def join(self, a: int, b: int) -> None:
         """Two areas are one."""
@@ -171,15 +174,31 @@ class _Case:
         """The areas on both sides of a candidate."""
         return {self.group[self.portals[i].a], self.group[self.portals[i].b]}
 
-    def doors(self) -> list[list[int]]:
-        """Candidates by doors: of one door are those between the same areas, in one place."""
-        sets: list[list[int]] = []
+    def find_strays(self, ground: Sequence[Ground], frames: Array) -> None:
+        """Candidates that do not lie where one of their areas is.
+
+        The robot had left the area before, by a door that it did not notice.
+        """
         for i in self.candidates:
+            for area in (self.portals[i].a, self.portals[i].b):
+                door = se2.between(frames[area], self.in_g[i])[:2]
+                apart = np.hypot(*(ground[area].way - door).T).min(initial=np.inf)
+                if apart > STRAY:
+                    self.strays.add(i)
+
+    def doors(self) -> list[list[int]]:
+        """Candidates by doors: of one door are those between the same areas, in one place.
+
+        A stray is a door that is there already, whatever areas it is said to lie between.
+        """
+        sets: list[list[int]] = []
+        for i in sorted(self.candidates, key=lambda i: (i in self.strays, i)):
             for members in sets:
                 d = self.in_g[i] - self.in_g[members[0]]
                 near = np.hypot(d[0], d[1]) < SAME_DOOR
                 alike = abs(np.sin(d[2])) < np.sin(SAME_HEADING)
-                if near and alike and self.ends(i) == self.ends(members[0]):
+                same = i in self.strays or self.ends(i) == self.ends(members[0])
+                if near and alike and same:
                     members.append(i)
                     break
             else:
@@ -212,7 +231,7 @@ class _Case:
         for i, _ in self.refused:
             final[i] = replace(final[i], kind="same")
         for members in self.doors():
-            best = max(members, key=lambda i: (self.evidence([i]), -i))
+            best = max(members, key=lambda i: (i not in self.strays, self.evidence([i]), -i))
             crossings = sum(self.portals[i].crossings for i in members)
             for i in members:
                 door[i] = best
