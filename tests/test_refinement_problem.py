@@ -16,8 +16,10 @@ from hiermap_cli.mapping.refinement.problem import (
     Matched,
     Noise,
     State,
+    Terms,
     Walls,
     layout,
+    measured_noise,
     robust_weight,
     stepped,
 )
@@ -160,3 +162,27 @@ def test_failed_odometry_says_little_and_nothing_of_the_calibration():
     sure = problem.odometry_terms(state, keyscans, OdometryConfig(), 1.0, FAR)
     assert np.trace(terms.information[1]) < 0.01 * np.trace(sure.information[1])
     np.testing.assert_array_equal(terms.J[1, :, 6:9], 0.0)
+
+
+def test_noise_is_what_the_residuals_say():
+    """Residuals drawn with other variances than were taken: each kind gets its own factor."""
+    rng = np.random.default_rng(3)
+    n = 6000
+    noise = Noise(np.full(n, 1e-4), np.full(n, 4e-4), np.full((n, 2), 9e-4))
+    rows = np.arange(n)
+    e = rng.normal(size=(n, 2)) * np.sqrt([0.5e-4, 8e-4])
+    one = np.eye(2)[None].repeat(n, axis=0)
+    walls = Terms(rows, rows[:, None], one, e, one, np.zeros(n), rows[:, None])
+    of_ends = rng.normal(size=(n, 1)) * 0.03
+    sides = np.column_stack((rows, np.zeros(n, dtype=np.int64)))
+    ends = Terms(rows, rows[:, None], one, of_ends, one, np.zeros(n), sides)
+    none = Terms(rows[:0], rows[:0, None], one[:0], e[:0], one[:0], np.zeros(0), rows[:0, None])
+    found = measured_noise(noise, (none, walls, ends), 0, 1e9)
+    assert found.across[0] == pytest.approx(0.5e-4, rel=0.06)
+    assert found.heading[0] == pytest.approx(8e-4, rel=0.06)
+    assert found.ends[0, 0] == pytest.approx(9e-4, rel=0.06)
+    fitted = measured_noise(noise, (none, walls, ends), 3 * n // 2, 1e9)
+    assert fitted.across[0] == pytest.approx(2.0 * found.across[0])
+    e[:60] = 1.0
+    robust = measured_noise(noise, (none, walls._replace(e=e), ends), 0, 9.2)
+    assert robust.across[0] == pytest.approx(0.5e-4, rel=0.2)

@@ -17,6 +17,8 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.refinement.odometry import motions
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from hiermap_cli.config import FilterConfig, OdometryConfig
@@ -53,6 +55,9 @@ class State(NamedTuple):
     ends: Ends
 
 
+MEASURED = (0.3, 3.0)  # bounds of a factor that residuals tell
+
+
 class Matched(NamedTuple):
     """Which segment shows which wall, and which of its ends which end; a and b of them."""
 
@@ -76,6 +81,7 @@ class Terms(NamedTuple):
 
     scan: (n,) key scan to which each belongs. columns: (n, k) variables. J: (n, r, k). e: (n, r).
     information: (n, r, r), robust weight included. chi2: (n,) without the robust weight.
+    rows: (n, 1 or 2) segment, and its side, that each is of; key scan for odometry.
     """
 
     scan: Index
@@ -84,6 +90,7 @@ class Terms(NamedTuple):
     e: Array
     information: Array
     chi2: Array
+    rows: Index
 
 
 class Layout(NamedTuple):
@@ -132,6 +139,36 @@ def segment_noise(segments: ScanSegments, config: FilterConfig, noise: NoiseScal
     )
 
 
+def measured_noise(noise: Noise, solved: Sequence[Terms], free: int, gate: float) -> Noise:
+    """The variances as the residuals of a solution have them, each kind by a factor of its own.
+
+    Args:
+        noise: as they were taken to be.
+        solved: the terms of odometry, walls and ends at the solution.
+        free: number of variables solved for, which the residuals have been fitted by.
+        gate: chi-square beyond which a single residual counts as that much: an outlier tells
+            nothing of the noise.
+    """
+    rows = sum(t.e.size for t in solved)
+    left = 1.0 - min(free / max(rows, 1), 0.9)
+    _, walls, ends = solved
+
+    def factor(squares: Array, variances: Array) -> float:
+        if not len(squares):
+            return 1.0
+        q = np.minimum(squares / variances, gate)
+        return float(np.clip(q.mean() / left, *MEASURED))
+
+    s = walls.rows[:, 0]
+    across, heading = np.square(walls.e).T
+    of_ends = np.square(ends.e[:, 0])
+    return Noise(
+        across=noise.across * factor(across, noise.across[s]),
+        heading=noise.heading * factor(heading, noise.heading[s]),
+        ends=noise.ends * factor(of_ends, noise.ends[ends.rows[:, 0], ends.rows[:, 1]]),
+    )
+
+
 def robust_weight(chi2: Array, gate: float) -> Array:
     """1 up to the gate, then falling with chi2: Gaussian noise is left alone, outliers are not."""
     return np.asarray(gate / np.maximum(chi2, gate))
@@ -170,7 +207,7 @@ def wall_terms(
     weight = 1.0 / np.column_stack((noise.across[s], noise.heading[s]))
     chi2 = np.einsum("nr,nr->n", e * weight, e)
     weight *= robust_weight(chi2, gate)[:, None]
-    return Terms(i, index, J, e, _diagonal(weight), chi2)
+    return Terms(i, index, J, e, _diagonal(weight), chi2, s[:, None])
 
 
 def end_terms(
@@ -198,7 +235,8 @@ def end_terms(
     weight = 1.0 / noise.ends[s, side]
     chi2 = np.square(e[:, 0]) * weight
     weight = weight * robust_weight(chi2, gate) * _not_common(state, i, matched, bias)
-    return Terms(i, index, J, e, weight[:, None, None], chi2)
+    rows = np.column_stack((s, side))
+    return Terms(i, index, J, e, weight[:, None, None], chi2, rows)
 
 
 def _not_common(state: State, scan: Index, matched: Matched, bias: float) -> Array:
@@ -251,7 +289,7 @@ def odometry_terms(
     information = np.linalg.inv(Q).astype(np.float64, copy=False)
     chi2 = np.einsum("ni,nij,nj->n", e, information, e)
     information *= robust_weight(chi2, gate)[:, None, None]
-    return Terms(i, index, J, e, information, chi2)
+    return Terms(i, index, J, e, information, chi2, i[:, None])
 
 
 def uncalibrated(step: Array, told: Array, parameters: Array) -> Array:

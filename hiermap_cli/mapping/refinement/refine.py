@@ -26,7 +26,14 @@ from hiermap_cli.mapping.refinement.matches import (
     merge_walls,
     placed,
 )
-from hiermap_cli.mapping.refinement.problem import Ends, State, Walls, layout, segment_noise
+from hiermap_cli.mapping.refinement.problem import (
+    Ends,
+    State,
+    Walls,
+    layout,
+    measured_noise,
+    segment_noise,
+)
 from hiermap_cli.mapping.refinement.rebuild import area_map, sightings
 from hiermap_cli.mapping.refinement.smoothing import smooth
 from hiermap_cli.mapping.refinement.track import whole_trajectory
@@ -120,6 +127,8 @@ def solve(
         last = k + 1 == len(c.scales)
         solution = smooth(state, keyscans, noise, matched, config, odometry, last=last)
         state = solution.state
+        if config.noise.estimate:
+            noise = measured_noise(noise, solution.terms, layout(state).size, c.gate_wall)
     return solution, matched
 
 

@@ -73,11 +73,12 @@ def structure(where: Layout, terms: Sequence[Terms]) -> Structure:
         np.minimum.at(landmark_first, index, every)
         np.maximum.at(landmark_last, index, every)
     columns = []
+    shown = [_by_stretch(r, index, stretches) for r, index in rows]
     parameters = where.parameters + np.arange(PARAMETERS)
     for k in range(stretches):
         # The pose that begins the next stretch belongs to both.
         poses = np.arange(3 * first[k], 3 * min(first[k + 1] + 1, where.keys))
-        seen = np.concatenate([i[r == k].ravel() for r, i in rows] or [poses])
+        seen = np.concatenate([index[a[k] : a[k + 1]].ravel() for index, a in shown] or [poses])
         seen = seen[seen >= where.parameters]
         columns.append(np.unique(np.concatenate((poses, parameters, seen))))
     groups = [np.arange(3 * (a + 1), 3 * b) for a, b in itertools.pairwise(first)]
@@ -90,6 +91,12 @@ def structure(where: Layout, terms: Sequence[Terms]) -> Structure:
     groups.append(parameters)
     groups = [g for g in groups if len(g)]
     return Structure(first, tuple(columns), plan(columns, groups, [len(groups) - 1]))
+
+
+def _by_stretch(stretch: Index, columns: Index, stretches: int) -> tuple[Index, Index]:
+    """Rows of columns (n, k) in the order of their stretches, and where each stretch begins."""
+    order = np.argsort(stretch, kind="stable")
+    return columns[order], np.searchsorted(stretch[order], np.arange(stretches + 1))
 
 
 def stretch_of(scan: Index) -> Index:
