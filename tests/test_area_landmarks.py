@@ -348,3 +348,29 @@ def test_a_wall_that_another_landmark_has_is_dropped():
     assert duplicates([wall, turned], CONFIG) == set()
     aside = corner._replace(segments=corner.segments + np.array([0.0, 0.6]))
     assert duplicates([wall, aside], CONFIG) == set()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_far_away_does_not_matter(seed):
+    """The duplicates among all are those of each place by itself, 20 m from the next."""
+    rng = np.random.default_rng(seed)
+    kinds = {"corner_concave": ("x", "y", "theta"), "wall": ("y", "theta")}
+    places = []
+    for at in range(4):
+        here = []
+        for _ in range(12):
+            kind = str(rng.choice(list(kinds)))
+            start = np.array([20.0 * at, 0.0]) + rng.choice([0.0, 0.1, 0.5, 1.0], 2)
+            along = np.array([rng.uniform(0.5, 2.0), 0.0])
+            ends = np.array([[start, start + along]])
+            here.append(
+                placed(
+                    int(rng.integers(3)), [*start, 0.0], kind=kind, binds=kinds[kind],
+                    utility=float(rng.random()), segments=ends, fixed=bool(rng.random() < 0.1),
+                )
+            )  # fmt: skip
+        places.append(here)
+    found = duplicates([one for here in places for one in here], CONFIG)
+    alone = {12 * i + j for i, here in enumerate(places) for j in duplicates(here, CONFIG)}
+    assert found == alone
+    assert 0 < len(found) < 48

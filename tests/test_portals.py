@@ -14,7 +14,7 @@ from hiermap_cli.mapping.area_map import EMPTY, AreaMap
 from hiermap_cli.mapping.freespace import FreeGrid
 from hiermap_cli.mapping.places import Places
 from hiermap_cli.mapping.portals import KnownDoors, Portal, add_anchor, anchor_index, door_frame
-from hiermap_cli.mapping.recognition import relative_frames
+from hiermap_cli.mapping.recognition import Ways, relative_frames
 from hiermap_cli.mapping.rooms import decide
 
 STEP = np.array([4.0, 0.0, 0.0])
@@ -151,6 +151,20 @@ def test_frames_are_composed_through_the_anchors_with_their_covariance():
     expected = 3 * NOISE[1, 1] + NOISE[2, 2] * (0**2 + 4**2 + 8**2) + 3 * NOISE[0, 0]
     assert found[3].at(np.array([12.0, 0.0])) ** 2 == pytest.approx(expected)
     assert found[1].at(np.array([4.0, 0.0])) < found[2].at(np.array([8.0, 0.0]))
+
+
+def test_ways_that_are_known_are_known_again_until_the_area_changes():
+    maps, portals = chain(4)
+    ways = Ways()
+    relative_frames(0, maps, portals, ways)
+    V = maps[1].V
+    maps[1] = replace(maps[1], V=replace(V, covariance=4.0 * V.covariance))
+    for here in (0, 2):
+        again, anew = (relative_frames(here, maps, portals, *w) for w in ((ways,), ()))
+        assert again.keys() == anew.keys() == set(range(4)) - {here}
+        for i, frame in anew.items():
+            assert np.array_equal(again[i].pose, frame.pose)
+            assert np.array_equal(again[i].covariance, frame.covariance)
 
 
 def test_frames_seen_from_another_area_are_the_inverse():

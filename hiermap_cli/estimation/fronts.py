@@ -153,15 +153,18 @@ class _Graph:
 
 
 class Factor(NamedTuple):
-    """All fronts in the order of elimination, and the plan that made them."""
+    """All fronts in the order of elimination, the plan that made them, and each variable's front.
+
+    home: (N,) of all N variables.
+    """
 
     fronts: tuple[Front, ...]
     plan: Plan
-    variables: int
+    home: Index
 
     def solve(self) -> Array:
         """X of `H x = g`, by back substitution."""
-        x = np.zeros(self.variables)
+        x = np.zeros(len(self.home))
         for front in reversed(self.fronts):
             x[front.own] = front.L_inverse.T @ (front.y - front.W @ x[front.boundary])
         return x
@@ -196,13 +199,10 @@ class Factor(NamedTuple):
     def covariance(self, J: Array, index: Index) -> Array:
         """`J C J^T` of a linear function J (r, n) of the variables `index` (n,)."""
         index, J = _once(index, J)
-        home = np.empty(self.variables, dtype=np.int64)
-        for k, front in enumerate(self.fronts):
-            home[front.own] = k
         columns: dict[int, Array] = {}
 
         def add(where: Index, rows: Array) -> None:
-            fronts = home[where]
+            fronts = self.home[where]
             for k in np.unique(fronts).tolist():
                 here = fronts == k
                 own = self.fronts[k].own
@@ -270,4 +270,7 @@ def factorise(pieces: Sequence[Piece], order: Plan, variables: int) -> Factor:
             boundary, F[at_boundary[:, None], at_boundary] - W.T @ W, g[at_boundary] - W.T @ y
         )
         made += 1
-    return Factor(tuple(fronts), order, variables)
+    home = np.empty(variables, dtype=np.int64)
+    for k, front in enumerate(fronts):
+        home[front.own] = k
+    return Factor(tuple(fronts), order, home)

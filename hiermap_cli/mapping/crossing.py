@@ -294,15 +294,10 @@ class Crossings:
 
     def _reached(self, area: int, kinds: Sequence[PortalKind]) -> set[int]:
         """Areas that portals of these kinds join to this one."""
+        joins = [(p.a, p.b) for p in self.portals if p.kind in kinds]
         found, grown = {area}, True
         while grown:
-            more = {
-                there
-                for p in self.portals
-                if p.kind in kinds
-                for here, there in ((p.a, p.b), (p.b, p.a))
-                if here in found
-            }
+            more = {there for a, b in joins for here, there in ((a, b), (b, a)) if here in found}
             grown = not more <= found
             found |= more
         return found

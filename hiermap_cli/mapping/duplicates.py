@@ -109,19 +109,51 @@ def contains(polygon: Array, at: Array) -> NDArray[np.bool_]:
 def duplicates(landmarks: Sequence[Placed], config: LandmarkConfig) -> set[int]:
     """Indices of the landmarks that are there once more, and better."""
     order = sorted(range(len(landmarks)), key=lambda i: (_place(landmarks[i]), i))
-    kept: list[int] = []
+    near = _Near(landmarks, config.same)
     dropped: set[int] = set()
     for i in order:
         one = landmarks[i]
-        others = [landmarks[j] for j in kept]
-        same = _again(one, others, config) if "x" in one.binds else False
+        same = _again(one, near.points(i), config) if "x" in one.binds else False
         if not same and one.kind in ("wall", "corridor"):
-            same = _covered(one, [o for o in others if one.kind in ("wall", o.kind)], config)
+            others = [o for o in near.touching(i) if one.kind in ("wall", o.kind)]
+            same = _covered(one, others, config)
         if same and not one.fixed:
             dropped.add(i)
         else:
-            kept.append(i)
+            near.keep(i)
     return dropped
+
+
+class _Near:
+    """The landmarks that are kept so far, by where they are: pairs of all would be too many."""
+
+    def __init__(self, landmarks: Sequence[Placed], margin: float) -> None:
+        self._all = landmarks
+        self._kept = np.zeros(len(landmarks), dtype=bool)
+        self._at = np.array([one.pose[:2] for one in landmarks]).reshape(-1, 2)
+        self._low, self._high = (np.full((len(landmarks), 2), side) for side in (np.inf, -np.inf))
+        for i, one in enumerate(landmarks):
+            if len(one.segments):
+                ends = one.segments.reshape(-1, 2)
+                self._low[i], self._high[i] = ends.min(axis=0), ends.max(axis=0)
+        self._margin = margin
+
+    def keep(self, i: int) -> None:
+        """A landmark is kept."""
+        self._kept[i] = True
+
+    def points(self, i: int) -> list[Placed]:
+        """Those kept whose origins may be the same place as that of i."""
+        off = np.abs(self._at - self._at[i]).max(axis=1)
+        return self._chosen(self._kept & (off < _FARTHEST))
+
+    def touching(self, i: int) -> list[Placed]:
+        """Those kept whose segments may lie on those of i."""
+        low, high = self._low[i] - self._margin, self._high[i] + self._margin
+        return self._chosen(self._kept & (self._low < high).all(1) & (self._high > low).all(1))
+
+    def _chosen(self, mask: NDArray[np.bool_]) -> list[Placed]:
+        return [self._all[j] for j in mask.nonzero()[0].tolist()]
 
 
 def _place(one: Placed) -> tuple[bool, bool, bool, float]:

@@ -77,7 +77,7 @@ class InnovationLog:
     """Takes the innovations of each update; `sums` tells of each wall and end of an area."""
 
     _waiting: list[tuple[int, int, Index, Matches, Innovation]] = field(default_factory=list)
-    _sums: dict[tuple[int, int], Array] = field(default_factory=dict)
+    _sums: dict[int, dict[int, Array]] = field(default_factory=dict)  # by area and uid
 
     def add(self, key: int, area: int, uid: Index, matches: Matches, rows: Innovation) -> None:
         """The update of key scan `key` in an area; `uid` (n,) of the area's objects before it."""
@@ -88,7 +88,7 @@ class InnovationLog:
     def sums(self, area: int) -> dict[int, Sums]:
         """By uid, of the walls and ends of an area that were ever matched."""
         self._sum_up()
-        return {uid: Sums(*row.tolist()) for (a, uid), row in self._sums.items() if a == area}
+        return {uid: Sums(*row.tolist()) for uid, row in self._sums.get(area, {}).items()}
 
     def _sum_up(self) -> None:
         if not self._waiting:
@@ -107,11 +107,11 @@ class InnovationLog:
         table[:, PAIRS] = np.where(same, rows[:, 3], 0.0)
         table[:, PRODUCTS] = np.where(same, (rows[:, 5:7] * before[:, 5:7]).sum(axis=1), 0.0)
         first = np.flatnonzero(new)
-        for name, total in zip(
+        for (area, uid), total in zip(
             who[first].astype(int).tolist(), np.add.reduceat(table, first), strict=True
         ):
-            at = (name[0], name[1])
-            self._sums[at] = self._sums[at] + total if at in self._sums else total
+            sums = self._sums.setdefault(area, {})
+            sums[uid] = sums[uid] + total if uid in sums else total
 
 
 def _normalised(updates: list[tuple[int, int, Index, Matches, Innovation]]) -> Array:

@@ -54,10 +54,36 @@ class Relative(NamedTuple):
         return sigma
 
 
+@dataclass(slots=True)
+class Ways:
+    """Ways through areas, from anchor to anchor; kept for as long as an area's map is the same."""
+
+    _known: dict[int, tuple[AreaMap, dict[tuple[int, int], tuple[Array, Array]]]] = field(
+        default_factory=dict
+    )
+
+    def between(self, number: int, area: AreaMap, i: int, j: int) -> tuple[Array, Array]:
+        """Anchor j seen from anchor i by their uids (i = -1: from the frame), and its covariance.
+
+        number: of the area.
+        """
+        if number not in self._known or self._known[number][0] is not area:
+            self._known[number] = (area, {})
+        known = self._known[number][1]
+        if (i, j) not in known:
+            k = -1 if i < 0 else anchor_index(area, i)
+            known[i, j] = _between(area, k, anchor_index(area, j))
+        return known[i, j]
+
+
 def relative_frames(
-    here: int, areas: Sequence[AreaMap], portals: Sequence[Portal]
+    here: int, areas: Sequence[AreaMap], portals: Sequence[Portal], ways: Ways | None = None
 ) -> dict[int, Relative]:
-    """Where the frames of all other areas lie, each by the way that tells it best."""
+    """Where the frames of all other areas lie, each by the way that tells it best.
+
+    ways: what is known of earlier calls, and kept for later ones.
+    """
+    ways = ways or Ways()
     doors: dict[int, list[tuple[int, int, int]]] = {}
     for p in portals:
         doors.setdefault(p.a, []).append((p.anchor_a, p.b, p.anchor_b))
@@ -73,8 +99,7 @@ def relative_frames(
         for out, there, into in doors.get(area, ()):
             if there in found or there == here:
                 continue
-            j = anchor_index(areas[area], out)
-            R, C = _between(areas[area], entered, j)
+            R, C = ways.between(area, areas[area], entered, out)
             Ad = se2.adjoint(at.pose)
             pose = se2.compose(at.pose, R)
             reached = Relative(pose, at.covariance + Ad @ C @ Ad.T)
@@ -86,12 +111,11 @@ def relative_frames(
         _, _, area, anchor, at = heapq.heappop(waiting)
         if area in found:
             continue
-        k = anchor_index(areas[area], anchor)
-        R, C = _between(areas[area], -1, k)
+        R, C = ways.between(area, areas[area], -1, anchor)
         frame = se2.compose(at.pose, se2.invert(R))
         Ad = se2.adjoint(frame)
         found[area] = Relative(frame, at.covariance + Ad @ C @ Ad.T)
-        leave(area, k, at)
+        leave(area, anchor, at)
     return found
 
 
@@ -128,6 +152,7 @@ class Recogniser:
 
     config: Config
     frames: dict[int, Relative] = field(default_factory=dict)
+    _ways: Ways = field(default_factory=Ways)
     _areas: list[int] = field(default_factory=list)
     _all: Relative = field(default_factory=lambda: Relative(np.zeros((0, 3)), np.zeros((0, 3, 3))))
     _asked: float = 0.0
@@ -137,7 +162,7 @@ class Recogniser:
         self, here: int, areas: Sequence[AreaMap], portals: Sequence[Portal], travelled: float
     ) -> None:
         """The robot is in this area from now on."""
-        self.frames = relative_frames(here, areas, portals)
+        self.frames = relative_frames(here, areas, portals, self._ways)
         self._areas = sorted(self.frames)
         self._all = Relative(
             np.array([self.frames[h].pose for h in self._areas]).reshape(-1, 3),
