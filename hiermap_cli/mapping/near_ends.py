@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 ROOM = 4096  # points that there is room for at first
+FAR = 1e6  # metres: a point there is near nothing
 
 
 class NearEnds:
@@ -25,6 +26,7 @@ class NearEnds:
         self._xy = np.empty((2, ROOM))
         self._starts: list[int] = []
         self._stop = 0
+        self._shed = 0  # points that once lay before the first one
 
     def __len__(self) -> int:
         """The number of scans."""
@@ -40,6 +42,7 @@ class NearEnds:
             self._xy[:, : kept.shape[1]] = kept
             self._starts = [start - first for start in self._starts]
             self._stop -= first
+            self._shed += first
         self._starts.append(self._stop)
         self._xy[:, self._stop : self._stop + n] = points.T
         self._stop += n
@@ -50,6 +53,16 @@ class NearEnds:
         if first < stop == len(self._starts):
             self._stop = self._starts[first]
         del self._starts[scans]
+
+    def position(self) -> int:
+        """Where the points of the next scan will lie, for `blank`."""
+        return self._shed + self._stop
+
+    def blank(self, position: int, gone: NDArray[np.bool_]) -> None:
+        """Those points of a scan at this position that are `gone` (n,) are near nothing."""
+        first = position - self._shed
+        if first >= 0:
+            self._xy[:, first : first + len(gone)][:, gone] = FAR
 
     def since(self, scan: int) -> Array:
         """The points (n, 2) of this scan and all later ones."""

@@ -19,6 +19,7 @@ import numpy as np
 
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.near_ends import NearEnds
+from hiermap_cli.mapping.passers import Passers, gone_over
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -94,6 +95,7 @@ class Trace:
     fresh: int = 0  # of the last scans: not yet taken by `older`
     entered: float = 0.0  # metres of path at which it came into the present area
     _told: tuple[float, float] = (-np.inf, 0.0)
+    _passers: Passers = field(default_factory=Passers)
 
     def add(self, pose: Array, step: float, sight: Sight, key: int = -1) -> None:
         """Scan number `key` taken at `pose` (3,), `step` metres of path after the last one."""
@@ -132,7 +134,8 @@ class Trace:
             return ends[:0]
         self._told = (self.length, turned)
         d = ends - origin
-        return ends[d[:, 0] ** 2 + d[:, 1] ** 2 < NEAR * NEAR]
+        near = ends[d[:, 0] ** 2 + d[:, 1] ** 2 < NEAR * NEAR]
+        return self._passers.persisting(origin, ends, near, self.near)
 
     def older(self, behind: float) -> list[int]:
         """Scans taken more than `behind` metres of path ago; each is told once."""
@@ -151,10 +154,12 @@ class Trace:
         for kept in (self.origins, self.ends):
             kept[:] = [R_b_a[:2] + points @ turn for points in kept]
         self.near.move(R_b_a)
+        self._passers.move(R_b_a)
 
     def drop(self, after: float) -> None:
         """Without the scans taken after that many metres of path."""
         keep = bisect_right(self.travelled, after)
+        self._passers.forget()
         self.fresh = max(self.fresh - (len(self.poses) - keep), 0)
         for kept in self._every():
             del kept[keep:]
@@ -220,7 +225,12 @@ class PassageDetector:
         point = a + min(max(f, 0.0), 1.0) * (b - a)
         recent = bisect_left(trace.travelled, s - NEAR)
         most = self.config.max_width + self.config.widening
-        width, jambs = narrowest_chord(point, trace.near.since(recent), most)
+        ends = trace.near.since(recent)
+        width, jambs = narrowest_chord(point, ends, most)
+        if width < self.config.min_width or (width <= most and gone_over(jambs, trace.poses).all()):
+            # No robot goes through there: who walks before it is on its path, and no jamb.
+            ends = ends[~gone_over(ends, trace.poses)]
+            width, jambs = narrowest_chord(point, ends, most)
         self.at.append(s)
         self.width.append(width)
         self.jambs.append(jambs)
