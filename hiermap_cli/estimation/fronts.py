@@ -197,18 +197,25 @@ class Factor(NamedTuple):
         return found
 
     def covariance(self, J: Array, index: Index) -> Array:
-        """`J C J^T` of a linear function J (r, n) of the variables `index` (n,)."""
+        """`J C J^T` of a linear function J (r, n) of the variables `index` (n,).
+
+        Low in the tree of fronts only few of the r rows have a part: only they are carried on.
+        """
         index, J = _once(index, J)
         columns: dict[int, Array] = {}
 
-        def add(where: Index, rows: Array) -> None:
+        def add(where: Index, rows: Array, part: Index | slice = slice(None)) -> None:
             fronts = self.home[where]
             for k in np.unique(fronts).tolist():
                 here = fronts == k
                 own = self.fronts[k].own
                 if k not in columns:
                     columns[k] = np.zeros((len(own), len(J)))
-                columns[k][np.searchsorted(own, where[here])] += rows[here]
+                at = np.searchsorted(own, where[here])
+                if isinstance(part, slice):
+                    columns[k][at] += rows[here]
+                else:
+                    columns[k][at[:, None], part] += rows[here]
 
         add(index, J.T)
         C = np.zeros((len(J), len(J)))
@@ -221,11 +228,17 @@ class Factor(NamedTuple):
                 continue
             seen.add(k)
             front = self.fronts[k]
-            y = front.L_inverse @ columns.pop(k)
-            C += y.T @ y
+            told = columns.pop(k)
+            some = told.any(axis=0).nonzero()[0]
+            few = 2 * len(some) < len(J)
+            y = front.L_inverse @ (told[:, some] if few else told)
+            if few:
+                C[some[:, None], some] += y.T @ y
+            else:
+                C += y.T @ y
             if len(front.boundary):
                 before = set(columns)
-                add(front.boundary, -front.W.T @ y)
+                add(front.boundary, -front.W.T @ y, some if few else slice(None))
                 for j in set(columns) - before:
                     heapq.heappush(waiting, j)
         return C

@@ -172,15 +172,17 @@ def _corrected(area: AreaMap, before: Anchors, environment: Environment, i: int)
 
 def _robot(environment: Environment, current: int) -> tuple[Array, Array]:
     """The robot in g, (3,), and the joint covariance of it and the frames: equation 1."""
-    F = environment.frames[current]
-    K3 = 3 * len(environment.frames)
-    J = np.zeros((3 + K3, len(environment.covariance)))
-    J[3:, :K3] = np.eye(K3)
-    J[:3, 3 * current : 3 * current + 3] = np.eye(3)
-    at = environment.offset(current, 0)
-    J[:3, at : at + 3] = se2.adjoint(F)
-    robot = se2.compose(F, environment.anchors[current][0])
-    return robot, symmetrise(J @ environment.covariance @ J.T)
+    F, P = environment.frames[current], environment.covariance
+    Ad, K3 = se2.adjoint(F), 3 * len(environment.frames)
+    # Its error in g is that of its area's frame and Ad(F) that of the robot in the area.
+    frame, robot = slice(3 * current, 3 * current + 3), environment.offset(current, 0)
+    rows = P[frame] + Ad @ P[robot : robot + 3]
+    C = np.empty((3 + K3, 3 + K3))
+    C[3:, 3:] = P[:K3, :K3]
+    C[:3, 3:] = rows[:, :K3]
+    C[3:, :3] = rows[:, :K3].T
+    C[:3, :3] = rows[:, frame] + rows[:, robot : robot + 3] @ Ad.T
+    return se2.compose(F, environment.anchors[current][0]), symmetrise(C)
 
 
 def _trajectory(environment: Environment, trail: Trail) -> Trajectory:
