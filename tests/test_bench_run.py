@@ -48,12 +48,12 @@ def hiermap(*arguments: object) -> Cost:
     return Cost(usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
 
 
-def run_and_note(benchmark, log: Path, folder: Path, rounds: int) -> None:
+def run_and_note(benchmark, log: Path, folder: Path, rounds: int, *options: str) -> None:
     """Runs a log some times; the report's stages and the cheapest run go into the JSON."""
     costs = []
 
     def once() -> None:
-        costs.append(hiermap("run", log, "-o", folder, "--force", "--quiet"))
+        costs.append(hiermap("run", log, "-o", folder, "--force", "--quiet", *options))
 
     benchmark.pedantic(once, rounds=rounds)
     report = json.loads((folder / "report.json").read_text())
@@ -83,12 +83,13 @@ def test_run_on_the_ring(benchmark, tmp_path):
     run_and_note(benchmark, DATASETS / "ring" / LOG, tmp_path / "out", rounds=3)
 
 
-def test_run_on_200000_scans(benchmark, tmp_path):
+@pytest.mark.parametrize("options", [("--no-refine",), ()], ids=["filter", "refined"])
+def test_run_on_200000_scans(benchmark, tmp_path, options):
     floor = office_floor(LONG_BLOCKS, np.random.default_rng(1))
     rate = floor.spec.laser.rate * LONG_SCANS / len(simulated(floor).stamps_ns)
     floor = office_floor(LONG_BLOCKS, np.random.default_rng(1), laser={"rate": rate})
     write(simulated(floor), tmp_path)
-    run_and_note(benchmark, tmp_path / LOG, tmp_path / "out", rounds=1)
+    run_and_note(benchmark, tmp_path / LOG, tmp_path / "out", 1, *options)
 
 
 def test_reading_a_model(benchmark, tmp_path):
