@@ -69,7 +69,7 @@ def laid_on_walls(
         matched = Matched(segment, labels[segment], nothing, nothing, nothing)
         terms = wall_terms(here, segments, variances, matched, config.refine.gate_wall)
         J = terms.J[:, :, :3]
-        JW = np.einsum("nrk,nrs->nks", J, terms.information)
+        JW = J.transpose(0, 2, 1) @ terms.information
         information, g = prior.copy(), np.einsum("nij,nj->ni", prior, _off(poses, X))
         np.add.at(information, terms.scan, JW @ J)
         np.add.at(g, terms.scan, -np.einsum("nks,ns->nk", JW, terms.e))

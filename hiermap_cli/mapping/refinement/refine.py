@@ -118,7 +118,7 @@ def solve(
     for k, scale in enumerate(c.scales):
         where = placed(state, s)
         one = merge_walls(fit_walls(where, tracks, s.length, n), scale, c)
-        labels = np.where(tracks >= 0, one[tracks], -1)
+        labels = np.append(one, -1)[tracks]  # -1, of no track, takes the last
         count = int(one.max(initial=-1)) + 1
         walls = fit_walls(where, labels, s.length, count)
         labels = match_segments(walls, where, s, scale, c)

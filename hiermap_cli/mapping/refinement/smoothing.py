@@ -110,9 +110,9 @@ def assemble(
     """The normal equations of every stretch, and the priors."""
     contributions = []
     for t in terms:
-        JW = np.einsum("nrk,nrs->nks", t.J, t.information)
+        JW = t.J.transpose(0, 2, 1) @ t.information
         H = JW @ t.J
-        g = -np.einsum("nks,ns->nk", JW, t.e)
+        g = -(JW @ t.e[:, :, None])[:, :, 0]
         r = stretch_of(t.scan)
         bounds = np.searchsorted(r, np.arange(len(frame.columns) + 1))
         contributions.append((t.columns, H, g, bounds))
