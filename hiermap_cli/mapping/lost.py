@@ -149,7 +149,6 @@ class Search:
         if not known.any():
             return None
         best = int(np.argmin(np.where(known, against, np.inf)))
-        pose = all_poses[best]
         frames = np.array([places[h].frame for h in number])
         at = se2.compose(frames, all_poses)
         apart = np.hypot(*(at[:, :2] - at[best, :2]).T) > APART
@@ -160,7 +159,10 @@ class Search:
             against[best], c.lost.floor
         ):
             return None
-        return int(area_of[best]), pose, float(explained[best])
+        # Of areas from which the place was seen, the one to which it belongs has seen most of it.
+        here = known & ~apart & (against <= c.lost.max_against)
+        best = int(np.argmax(np.where(here, share, -1.0)))
+        return int(area_of[best]), all_poses[best], float(explained[best])
 
 
 def constellations(lines: Lines, view: SegmentView) -> Array:
