@@ -46,6 +46,14 @@ def ring(seed: int):
     return simulation, mapper, levels, refine(mapper, levels)
 
 
+@pytest.mark.parametrize("scans", [1, 2, 3, 5])
+def test_a_log_of_a_few_scans_is_refined_without_a_wall_seen_twice(scans):
+    simulation, _, _, _ = ring(1)
+    mapper, _ = run_filter([next(simulation.blocks(scans))], Config())
+    refined = refine(mapper, compose_levels(mapper))
+    assert np.isfinite(refined.levels.trajectory.poses).all()
+
+
 def error(trajectory, simulation) -> float:
     return ate(trajectory.stamps_ns, trajectory.poses, simulation.stamps_ns, simulation.truth).rmse
 
