@@ -53,6 +53,15 @@ def test_everything_lies_on_the_picture():
             assert 0 <= y <= height
 
 
+def test_legend_and_scale_bar_lie_on_a_narrow_picture():
+    nothing = Estimate("g", np.zeros(3), np.zeros((3, 3)))
+    model = HierarchicalModel(EnvironmentModel(nothing, (), np.zeros((3, 3)), ()), (), ())
+    corridor = np.array([[0.0, -20.0, 1.57], [0.0, 20.0, 1.57]])
+    root = drawn(model, replace(sample_trajectory(2), poses=corridor))
+    last = next(t for t in root.iter(f"{NS}text") if t.text == "trajectory")
+    assert float(last.get("x")) + 80 < float(root.get("width"))
+
+
 def test_places_come_from_the_levels():
     model = sample_model()
     (first, one), *rest = model.environment.areas

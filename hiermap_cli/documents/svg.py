@@ -47,6 +47,7 @@ _FONT_SIZES = {"area": 15, "doorname": 11}
 _SIZE = 1500.0  # pixels of the longer side, about
 _MARGIN = 40.0
 _FOOT = 50.0  # pixels below the map for scale bar and legend
+_LEAST_WIDTH = 680.0  # pixels that scale bar and legend take
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,11 @@ class _Canvas:
 
     @property
     def width(self) -> float:
-        return float(self.high[0] - self.low[0]) * self.scale + 2 * _MARGIN
+        return max(self._map_width + 2 * _MARGIN, _LEAST_WIDTH)
+
+    @property
+    def _map_width(self) -> float:
+        return float(self.high[0] - self.low[0]) * self.scale
 
     @property
     def height(self) -> float:
@@ -67,7 +72,8 @@ class _Canvas:
 
     def pixels(self, points: Array) -> Array:
         """Points (..., 2) in pixels."""
-        x = (points[..., 0] - self.low[0]) * self.scale + _MARGIN
+        left = 0.5 * (self.width - self._map_width)
+        x = (points[..., 0] - self.low[0]) * self.scale + left
         y = (self.high[1] - points[..., 1]) * self.scale + _MARGIN
         return np.stack((x, y), axis=-1)
 

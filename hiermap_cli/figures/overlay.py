@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _SIZE, _MARGIN, _FOOT = 1500.0, 40.0, 56.0  # pixels
+_LEAST_WIDTH = 820.0  # pixels that scale bar and legend take
 _RIGHT, _FALSE, _MISSED, _MODEL, _TRUE = "#15803d", "#dc2626", "#d97706", "#1d4ed8", "#6b7280"
 _FAR = 0.5  # metres from every wall of the reference: drawn as false
 _STYLE = f"""<style>
@@ -48,11 +49,12 @@ class _Canvas:
         self.low, self.high = points.min(axis=0), points.max(axis=0)
         self.scale = float(_SIZE / max(*(self.high - self.low), 1.0))
         size = (self.high - self.low) * self.scale + 2.0 * _MARGIN
-        self.width, self.height = float(size[0]), float(size[1]) + _FOOT
+        self.width, self.height = max(float(size[0]), _LEAST_WIDTH), float(size[1]) + _FOOT
+        self._left = _MARGIN + 0.5 * (self.width - float(size[0]))
 
     def pixels(self, points: Array) -> Array:
         """Points (..., 2) in pixels."""
-        x = (points[..., 0] - self.low[0]) * self.scale + _MARGIN
+        x = (points[..., 0] - self.low[0]) * self.scale + self._left
         y = (self.high[1] - points[..., 1]) * self.scale + _MARGIN
         return np.stack((x, y), axis=-1)
 
