@@ -80,8 +80,15 @@ def test_a_missed_limit_ends_with_status_3_and_everything_is_written(place, tmp_
     assert json.loads(done.stdout)["passed"] is False
     assert json.loads(out.read_bytes()) == json.loads(done.stdout)
     assert "| occupancy_agreement | not measured |" in summary.read_text()
-    assert "could not be measured" in junit.read_text()
-    assert "limit occupancy_agreement>=0.5: could not be measured" in done.stderr
+    said = "occupancy_agreement>=0.5: could not be measured: the reference has no map of cells"
+    assert said.replace(">", "&gt;") in junit.read_text()
+    assert f"limit {said}" in done.stderr
+
+
+def test_a_limit_on_a_misspelt_metric_is_missed_and_the_right_name_said(place, tmp_path):
+    done, _ = evaluate(place, tmp_path, "--limit", "ate_rmsee<=0.1")
+    assert done.exit_code == 3
+    assert "no metric of that name; did you mean ate_rmse?" in done.stderr
 
 
 def test_where_ci_offers_a_summary_it_is_added_to(place, tmp_path, monkeypatch):

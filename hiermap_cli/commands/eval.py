@@ -142,4 +142,6 @@ def _say(document: EvalDocument, overlay: Path | None, judgement: Judgement) -> 
     for line in lines:
         click.echo(line, err=True)
     if overlay is not None and judgement.placed is None:
-        click.echo(f"{overlay}: not drawn, the maps could not be aligned", err=True)
+        # Without a place of the model nothing is measured on the map, all for the same reason.
+        reasons = {one.name: one.reason for one in document.unmeasured}
+        click.echo(f"{overlay}: not drawn, {reasons['wall_rmse']}", err=True)

@@ -15,12 +15,23 @@ if TYPE_CHECKING:
 _NAMED = 20  # things that are named in a line; the rest are counted
 
 
-def said_of(limit: LimitOutcome) -> str:
-    """What became of a limit, in words."""
+def said_of(limit: LimitOutcome, document: EvalDocument) -> str:
+    """What became of a limit, in words; of what was not measured with the reason."""
     if limit.value is None:
-        return f"{limit.text}: could not be measured"
+        reasons = {one.name: one.reason for one in document.unmeasured}
+        reason = reasons.get(limit.metric) or _unknown(limit.metric, document)
+        return f"{limit.text}: could not be measured: {reason}"
     state = "holds" if limit.passed else "missed"
     return f"{limit.text}: {state}, it is {figure(limit.value)}"
+
+
+def _unknown(name: str, document: EvalDocument) -> str:
+    """Why a metric is neither among those measured nor among those that could not be."""
+    from difflib import get_close_matches
+
+    known = [m.name for m in document.metrics] + [one.name for one in document.unmeasured]
+    near = get_close_matches(name, known, n=1)
+    return f"the run has no metric of that name{f'; did you mean {near[0]}?' if near else ''}"
 
 
 def eval_lines(document: EvalDocument) -> list[str]:
@@ -35,7 +46,7 @@ def eval_lines(document: EvalDocument) -> list[str]:
     lines += [f"{what}: {text}" for what, text in _named_errors(document.details.get("errors", {}))]
     if document.verdict:
         lines.append(f"verdict: {document.verdict}")
-    lines += [f"limit {said_of(limit)}" for limit in document.limits]
+    lines += [f"limit {said_of(limit, document)}" for limit in document.limits]
     return lines
 
 
@@ -69,8 +80,10 @@ def _named_errors(errors: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[tup
         for kind in ("landmarks", "areas", "doors", "edges"):
             names = [_name(entry) for entry in errors.get(kind, ()) if entry["status"] == status]
             if names:
+                # Of landmarks only corners are looked for one by one.
+                what = "corners" if kind == "landmarks" else kind
                 more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-                said.append((f"{status} {kind}", ", ".join(names[:_NAMED]) + more))
+                said.append((f"{status} {what}", ", ".join(names[:_NAMED]) + more))
     return said
 
 
@@ -138,7 +151,7 @@ def eval_cases(document: EvalDocument, suite: str) -> list[Case]:
         Case(
             limit.text,
             suite,
-            failure=None if limit.passed else said_of(limit),
+            failure=None if limit.passed else said_of(limit, document),
             properties=figures if i == 0 else None,
             output=document.verdict if i == 0 else "",
         )

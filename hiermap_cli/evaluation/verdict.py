@@ -117,11 +117,15 @@ def verdict(errors: Sequence[Check], innovations: Sequence[Check], parts: Sequen
     else:
         what = f"too cautious by a factor of {_times(1.0 / max(lead.factor, 1e-9))}"
         means = "deviations are that many times as large as the errors"
-    return f"{what}: {means} ({lead.name} {lead.value:.2f}; {inside}){worst}{against}"
+    return f"{what}: {means} ({lead.name} {_short(lead.value)}; {inside}){worst}{against}"
 
 
 def _times(factor: float) -> str:
     return f"{factor:.1f}" if factor <= _MOST else f"more than {_MOST:g}"
+
+
+def _short(value: float) -> str:
+    return f"{value:.2f}" if value < _MOST else f"{value:.3g}"
 
 
 def _worst(parts: Sequence[Check], *, over: bool) -> str:
@@ -136,5 +140,5 @@ def _worst(parts: Sequence[Check], *, over: bool) -> str:
         ]
         if beyond:
             worst = max(beyond, key=lambda one: one.value if over else -one.value)
-            said.append(f"{word}{worst.where} ({worst.name} {worst.value:.2f})")
+            said.append(f"{word}{worst.where} ({worst.name} {_short(worst.value)})")
     return f", worst {' and '.join(said)}" if said else ""
