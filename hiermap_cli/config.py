@@ -70,8 +70,8 @@ class InputConfig(Section):
 class LaserConfig(Section):
     """The sensor's own figures; null where the log or the data themselves tell."""
 
-    range_min: float | None = Field(None, description="metres; nearer returns are dropped")
-    range_max: float | None = Field(None, description="metres; farther returns count as none")
+    range_min: NonNegative | None = Field(None, description="metres; nearer returns are dropped")
+    range_max: Positive | None = Field(None, description="metres; farther returns count as none")
     sigma_range: Positive = Field(0.01, description="metres, noise of a range at any distance")
     sigma_range_scale: NonNegative = Field(0.0, description="metres of noise per metre of range")
     sigma_bearing: NonNegative = Field(0.0, description="radians, noise of a beam's direction")

@@ -81,9 +81,8 @@ def _read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
             raise ConfigurationError(str(path), [f"is larger than {max_bytes} bytes"])
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ConfigurationError(
-            str(path), [f"is no UTF-8 text (byte {error.start}); save it as UTF-8"]
-        ) from None
+        fault = f"is no UTF-8 text (byte {error.start}); a YAML file in UTF-8 is expected"
+        raise ConfigurationError(str(path), [fault]) from None
     except OSError as error:
         raise ConfigurationError(
             str(path), [f"cannot be read ({error.strerror or error})"]
@@ -128,6 +127,7 @@ def parse_with_lines(
     if not isinstance(node, yaml.MappingNode):
         line = node.start_mark.line + 1
         raise ConfigurationError(source, [f"line {line}: must hold keys with values, key: value"])
+    _check_other(node, source, shape)
     builder = _Builder(max_nodes)
     try:
         value = builder.build(node, shape, ())
@@ -144,6 +144,21 @@ def parse_with_lines(
             if not faults:
                 return checked, builder.lines
     raise ConfigurationError(source, fault_lines(faults))
+
+
+def _check_other(node: yaml.MappingNode, source: str, shape: type[BaseModel]) -> None:
+    """One fault for a file that says itself that it is another document, not one for every key.
+
+    Raises:
+        ConfigurationError: it has a key `format`, which `shape` does not know.
+    """
+    if "format" in shape.model_fields:
+        return
+    for key, value in node.value:
+        if key.value == "format" and str(value.value).startswith("hiermap-"):
+            line = f"line {key.start_mark.line + 1}"
+            fault = f"{line}: is a {value.value} document; another kind of file is expected"
+            raise ConfigurationError(source, [fault])
 
 
 def fault_lines(faults: Iterable[Fault]) -> list[str]:

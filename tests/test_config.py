@@ -151,6 +151,27 @@ def test_hints_are_keys_of_the_same_place():
     assert faults("flag: 1") == ["line 1: flag: unknown key"]  # a key, but not of this place
 
 
+def test_another_document_has_one_fault_and_not_one_for_every_key(tmp_path):
+    path = tmp_path / "world.yaml"
+    path.write_text("# a floor plan\nformat: hiermap-world\nversion: [1, 0]\nway_points: []\n")
+    with pytest.raises(ConfigurationError) as caught:
+        load_config(path)
+    assert caught.value.faults == [
+        "line 2: is a hiermap-world document; another kind of file is expected"
+    ]
+
+
+def test_the_lasers_reach_is_a_length(tmp_path):
+    path = tmp_path / "config.yaml"
+    path.write_text("laser: {range_min: -1, range_max: 0}\n")
+    with pytest.raises(ConfigurationError) as caught:
+        load_config(path)
+    assert [fault.split(": ")[1] for fault in caught.value.faults] == [
+        "laser.range_max",
+        "laser.range_min",
+    ]
+
+
 def test_repeated_keys_are_faults():
     found = faults("inner: {count: 1}\ninner:\n  count: 2\n  count: 3\n")
     assert found[0] == "line 2: inner: given twice (first in line 1)"
@@ -204,7 +225,7 @@ def test_an_empty_file_is_the_defaults(tmp_path, text):
     assert read_yaml(path, Outer) == Outer()
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"inner: \xe4"])
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"inner: \xe4", b"\x89MCAP0\r\n\x01"])
 def test_what_is_no_utf8_is_a_fault(tmp_path, content):
     path = tmp_path / "f.yaml"
     path.write_bytes(content)
