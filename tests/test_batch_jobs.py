@@ -179,6 +179,7 @@ def test_what_is_no_quantity(text):
 
 
 def test_quantities_for_a_person():
+    assert seconds_text(0.00022) == "under 0.1 s"
     assert seconds_text(3.21) == "3.21 s"
     assert seconds_text(250) == "4 min 10 s"
     assert seconds_text(7500) == "2 h 5 min"

@@ -118,6 +118,8 @@ def read_run(folder: Path, *, needs_model: bool = True) -> Run:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; expected what `hiermap run` wrote")
+    if not (folder / TRAJECTORY).exists():
+        raise InputError(f"{folder}: holds no {TRAJECTORY}; expected what `hiermap run` wrote")
     poses = read_tum(folder / TRAJECTORY)
     covariances = np.zeros((0, 3, 3))
     if (path := folder / TRAJECTORY_COVARIANCE).exists():

@@ -72,6 +72,8 @@ def bytes_text(size: float) -> str:
 
 def seconds_text(seconds: float) -> str:
     """A duration for a person: `3.2 s`, `4 min 10 s`, `2 h 5 min`."""
+    if seconds < 0.1:
+        return "under 0.1 s"
     if seconds < 60:
         return f"{seconds:.3g} s"
     whole = round(seconds)

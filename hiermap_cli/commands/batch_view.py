@@ -189,6 +189,8 @@ def outcome_line(outcome: Outcome) -> str:
 
 
 def _plan(jobs: int, kept: int, workers: int) -> str:
+    if jobs == 0:
+        return f"nothing to do: {kept} {'job' if kept == 1 else 'jobs'} done before"
     text = f"{jobs} {'job' if jobs == 1 else 'jobs'} on {workers} "
     text += "worker" if workers == 1 else "workers"
     return text + (f", {kept} done before" if kept else "")

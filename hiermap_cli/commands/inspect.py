@@ -82,7 +82,8 @@ def _show(report: AuditReport) -> None:
     width = None if sys.stdout.isatty() else _PAGE
     console = Console(highlight=False, markup=False, width=width)
     files = report.files[0] if len(report.files) == 1 else f"{len(report.files)} files"
-    console.print(f"{one_line(report.log)}: {report.log_format}, {files}")
+    inside = "" if files == report.log else f", {files}"
+    console.print(one_line(f"{report.log}: {report.log_format}{inside}"))
     topics = Table(box=SIMPLE_HEAD)
     for name in ("topic", "type"):
         topics.add_column(name, overflow="fold", min_width=12)

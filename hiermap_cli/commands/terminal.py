@@ -207,6 +207,8 @@ def _count(values: dict[str, float], name: str) -> str:
 def _areas(values: dict[str, float]) -> str:
     kinds = {"rooms": "room", "corridors": "corridor"}
     parts = [f"{int(values[name])} {kind}" for name, kind in kinds.items() if values.get(name)]
+    other = int(values.get("areas", 0) - sum(values.get(name, 0) for name in kinds))
+    parts += [f"{other} unknown"] if parts and other > 0 else []
     return _count(values, "areas") + (f": {', '.join(parts)}" if parts else "")
 
 

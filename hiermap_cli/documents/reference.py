@@ -73,7 +73,9 @@ def read_reference(path: Path) -> ReferenceMap:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as text ({error})") from None
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not JSON ({error})") from None
+        raise InputError(
+            f"{path}: is not JSON ({error}); expected a reference.json or a map_server YAML"
+        ) from None
     faults: list[str] = []
     reference = _parse(document, faults)
     if faults:

@@ -146,7 +146,7 @@ class OdometryCheck:
         if self.never_backward:
             out.append(
                 f"odometry never goes backwards over {self.path:.0f} m: the sign of reverse "
-                "motion may be lost"
+                "motion may be lost, if the robot ever backed up"
             )
         if self.readings > 50 and self.path < 0.01 and self.turned < 0.01:
             out.append(f"odometry does not move in {self.readings} readings")
