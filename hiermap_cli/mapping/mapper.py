@@ -218,9 +218,7 @@ class Mapper:
     def _adrift(self, first: Scan, drive: Drive, travelled: float, noticed_ns: int) -> None:
         """Begin an area that hangs on nothing with its first scan; `drive` has not led there."""
         self.trail.finish(self._motion)
-        self.driving.stretches.begin(
-            "lost", drive.leg.stamps_ns[0], noticed_ns, area=self._name()
-        )
+        self.driving.stretches.begin("lost", drive.leg.stamps_ns[0], noticed_ns, area=self._name())
         self.current = self.crossings.set_apart(self.key, travelled)
         self.trail.enter(self.current, self.area.V)
         self.driving.direction.forget()
