@@ -88,11 +88,16 @@ def _show(report: AuditReport) -> None:
     for name in ("topic", "type"):
         topics.add_column(name, overflow="fold", min_width=12)
     topics.add_column("kind", no_wrap=True)
-    for name in ("messages", "Hz", "longest gap s", "unreadable"):
+    # A terminal has 80 columns: names need them more than a column of nothing.
+    numbers = ["messages", "Hz", "longest\ngap s"]
+    if any(topic.undecodable for topic in report.topics):
+        numbers.append("unreadable")
+    for name in numbers:
         topics.add_column(name, justify="right", no_wrap=True)
     for topic in report.topics:
-        topics.add_row(*_topic_cells(topic))
-    console.print(topics)
+        topics.add_row(*list(_topic_cells(topic))[: len(topics.columns)])
+    if report.topics:
+        console.print(topics)
     if report.use is not None:
         use = Table(box=SIMPLE_HEAD, show_header=False, title="run would use", title_justify="left")
         use.add_column(style="bold", no_wrap=True)
