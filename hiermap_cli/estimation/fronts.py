@@ -229,7 +229,7 @@ class Factor(NamedTuple):
             seen.add(k)
             front = self.fronts[k]
             told = columns.pop(k)
-            some = told.any(axis=0).nonzero()[0]
+            some = np.flatnonzero((told != 0.0).any(axis=0))
             few = 2 * len(some) < len(J)
             y = front.L_inverse @ (told[:, some] if few else told)
             if few:

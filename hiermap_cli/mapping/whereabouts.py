@@ -71,9 +71,11 @@ def seen(grid: FreeGrid) -> Seen:
     cells = np.argwhere(ended) + grid.first
     any_end = (grid.ended > 0) & ~free
     return Seen(
-        np.asarray(CELL * (cells + 0.5), dtype=float), raster.grown(ended, ON), free & ~raster.grown(any_end, OFF),
+        np.asarray(CELL * (cells + 0.5), dtype=float),
+        raster.grown(ended, ON),
+        free & ~raster.grown(any_end, OFF),
         grid.first,
-    )  # fmt: skip
+    )
 
 
 def seen_lately(trace: Trace) -> Seen:
