@@ -121,9 +121,11 @@ def test_the_page_of_thresholds_says_what_is_missing_and_what_is_lost(scripts):
         (threshold, 0.8, "fr079"): default._replace(error=0.5),
         (threshold, 1.2, "fr079"): default,
         (threshold, 0.8, "aces"): None,
+        (by_name(sensitivity)["loops.agree"], 0.8, "fr079"): None,
     }
-    text = sensitivity.page({"fr079": default, "aces": default}, rows, 3, "commit abc")
-    assert "**Partial**: 2 of 3 runs" in text
+    text = sensitivity.page({"fr079": default, "aces": default}, rows, 4, "commit abc")
+    assert "**Partial**: 2 of 4 runs" in text
+    assert "agree" not in text
     assert "| fr079 | mean of all relations | 40.0, 14 areas, 15 doors |" in text
     assert "| 1 of 2 |" in text
     assert "| `gate` | 11.3 | **lost** 500.0 14 15 | = |  | - |" in text
