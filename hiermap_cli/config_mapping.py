@@ -210,8 +210,8 @@ class LoopConfig(Section):
     alone_pairs: int = Field(
         4, ge=1, description="pairs of walls not parallel, of a loop that needs no witness"
     )
-    alone_cross: Positive = Field(8.0, description="metres of it in the direction held least")
-    alone_second: Positive = Field(0.5, le=1, description="the second best place, of it")
+    alone_cross: Positive = Field(5.0, description="metres of it in the direction held least")
+    alone_second: Positive = Field(0.25, le=1, description="the second best place, of it")
     alone_gate: Positive = Field(1.2, description="chi-square, 3 degrees, of its cycle")
     agree_gate: Positive = Field(11.3, description="chi-square of loops that ask for the same")
     agree: Positive = Field(0.15, description="metres between a loop and the filter, as witnesses")
