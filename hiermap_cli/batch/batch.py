@@ -126,6 +126,9 @@ def _clear(folder: Path, workshops: Path, shard: Shard) -> None:
     names = (SUMMARY, JUNIT, MARKDOWN) if shard.is_whole else (_shard_summary(shard),)
     for name in names:
         (folder / name).unlink(missing_ok=True)
+        # Nobody else writes here, so that what has its temporary name was never finished.
+        for left in folder.glob(f".{name}.*"):
+            left.unlink(missing_ok=True)
 
 
 def _sorted_out(jobs: Sequence[Job], folder: Path) -> tuple[list[Job], list[Outcome]]:
