@@ -228,7 +228,7 @@ class RefineConfig(Section):
 
     enabled: bool = Field(True, description="false: the filter alone (--no-refine)")
     scales: tuple[Positive, ...] = Field(
-        (3.0, 1.7, 1.0), description="of the offsets below, in each round of matching"
+        (2.5, 1.0), description="of the offsets below, in each round of matching"
     )
     steps: int = Field(2, ge=1, description="of Gauss-Newton for each matching, at most")
     converged: Positive = Field(1e-4, description="metres and radians; a smaller step is the last")
