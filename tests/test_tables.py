@@ -47,7 +47,7 @@ def test_thresholds_are_all_numbers_of_their_sections_and_no_switches(scripts):
         ("loops.partners", 10, 14),
         ("loops.min_pairs", None, 2),  # where it stands at its bound it stays
         ("relocation.second", 0.68, 1.0),  # a share ends at its bound
-        ("refine.scales", (2.4, 1.36, 0.8), (3.6, 2.04, 1.2)),
+        ("refine.scales", (2.0, 0.8), (3.0, 1.2)),
     ],
 )
 def test_one_threshold_is_moved_and_nothing_else(scripts, name, less, more):
