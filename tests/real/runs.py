@@ -73,7 +73,7 @@ REAL_LOGS = {
 def names() -> list[str]:
     """All runs that can be made here: the real logs that are present, and the worlds."""
     real = [name for name, run in REAL_LOGS.items() if (DATA / run.log).exists()]
-    return real + sorted(path.stem for path in DATASETS.glob("*.yaml"))
+    return real + sorted(path.stem for path in DATASETS.glob("*.yaml") if path.name != "jobs.yaml")
 
 
 class Watched:
