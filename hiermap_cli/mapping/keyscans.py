@@ -26,7 +26,7 @@ _CENTRE, _THETA, _VAR_THETA, _VAR_Y = slice(0, 2), 2, 3, 4
 _ENDS, _END_KIND, _END_SIGMA, _LENGTH = slice(5, 9), slice(9, 11), slice(11, 13), 13
 _WALL = 14
 _COLUMNS = 15
-_LOOK_LENGTH, _LOOK_COLUMNS = 9, 10  # of scans between key scans
+_BETWEEN_LENGTH, _BETWEEN_COLUMNS = 9, 10  # of scans between key scans
 
 
 class ScanSegments(NamedTuple):
@@ -63,7 +63,7 @@ class KeyScans(NamedTuple):
     segments: ScanSegments
 
 
-class Looks(NamedTuple):
+class BetweenScans(NamedTuple):
     """The scans that were no key scans. stamps_ns: (M,). segments: theirs, by scan."""
 
     stamps_ns: Index
@@ -71,7 +71,7 @@ class Looks(NamedTuple):
 
 
 @dataclass(slots=True)
-class LookRecord:
+class BetweenRecord:
     """Scans between key scans as they come: their lines alone, in single precision."""
 
     _stamps: list[int] = field(default_factory=list)
@@ -81,18 +81,18 @@ class LookRecord:
     def add(self, stamp_ns: int, view: SegmentView) -> None:
         """One more scan."""
         n = len(view.length)
-        table = np.empty((n, _LOOK_COLUMNS), dtype=np.float32)
+        table = np.empty((n, _BETWEEN_COLUMNS), dtype=np.float32)
         table[:, _CENTRE], table[:, _THETA] = view.centre, view.theta
         table[:, _VAR_THETA], table[:, _VAR_Y] = view.var_theta, view.var_y
         table[:, _ENDS] = view.ends.reshape(n, 4)
-        table[:, _LOOK_LENGTH] = view.length
+        table[:, _BETWEEN_LENGTH] = view.length
         self._stamps.append(stamp_ns)
         self._count.append(n)
         self._segments.append(table)
 
-    def taken(self) -> Looks:
+    def taken(self) -> BetweenScans:
         """All of them."""
-        empty = np.zeros((0, _LOOK_COLUMNS), dtype=np.float32)
+        empty = np.zeros((0, _BETWEEN_COLUMNS), dtype=np.float32)
         table = np.concatenate((empty, *self._segments)).astype(float)
         none = np.zeros((len(table), 2))
         segments = ScanSegments(
@@ -104,10 +104,10 @@ class LookRecord:
             ends=table[:, _ENDS].reshape(-1, 2, 2),
             end_kind=none.astype(np.int64),
             end_sigma=none,
-            length=table[:, _LOOK_LENGTH],
+            length=table[:, _BETWEEN_LENGTH],
             wall=np.full(len(table), -1),
         )
-        return Looks(np.array(self._stamps, dtype=np.int64), segments)
+        return BetweenScans(np.array(self._stamps, dtype=np.int64), segments)
 
 
 @dataclass(slots=True)

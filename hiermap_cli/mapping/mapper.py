@@ -19,7 +19,7 @@ from hiermap_cli.mapping.area_map import EMPTY, AreaMap
 from hiermap_cli.mapping.crossing import Crossings, Passing
 from hiermap_cli.mapping.driving import Driving
 from hiermap_cli.mapping.innovations import InnovationLog
-from hiermap_cli.mapping.keyscans import KeyScanRecord, LookRecord
+from hiermap_cli.mapping.keyscans import BetweenRecord, KeyScanRecord
 from hiermap_cli.mapping.lost import moved, through_walls
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.stepping import Stepper, matched_walls
@@ -93,7 +93,7 @@ class Mapper:
     counts: Counts = field(default_factory=Counts)
     trail: Trail = field(default_factory=Trail)
     keyscans: KeyScanRecord = field(default_factory=KeyScanRecord)
-    looks_between: LookRecord = field(default_factory=LookRecord)
+    between: BetweenRecord = field(default_factory=BetweenRecord)
     innovations: InnovationLog = field(default_factory=InnovationLog)
     current: int = 0
     key: int = 0
@@ -140,7 +140,7 @@ class Mapper:
         if near and abs(increment[2]) < c.key_angle and not missing:
             self.trail.between(now.stamp_ns, increment)
             if self.config.refine.enabled:
-                self.looks_between.add(now.stamp_ns, now.view)
+                self.between.add(now.stamp_ns, now.view)
             return
         drive = self.driving.drive(self.area, self.current, increment, self.trail, missing=missing)
         self._key(now, drive, missing=missing)

@@ -63,10 +63,10 @@ def whole_trajectory(mapper: Mapper, solution: Solution) -> tuple[Trajectory, Ar
     key_at = np.array(mapper.trail.key_at)
     between = _bridged(mapper, solution)
     poses, B = between.poses, between.covariance
-    looks = mapper.looks_between.taken()
-    rows, kept = _rows_of(looks.stamps_ns, stamps, key_at)
+    seen = mapper.between.taken()
+    rows, kept = _rows_of(seen.stamps_ns, stamps, key_at)
     if len(rows):
-        segments = _of_scans(looks.segments, kept)
+        segments = _of_scans(seen.segments, kept)
         poses[rows], B[rows] = laid_on_walls(
             solution.state, poses[rows], B[rows], segments, mapper.noise, mapper.config
         )
@@ -110,16 +110,14 @@ def _rows_of(looked: Index, stamps: Index, key_at: Index) -> tuple[Index, Index]
     """Rows of the trajectory that are no key scans and were looked at, and which look each is."""
     is_key = np.zeros(len(stamps), dtype=bool)
     is_key[key_at] = True
-    first = {int(stamp): k for k, stamp in reversed(list(enumerate(looked.tolist())))}
-    pairs = [
-        (row, first[stamp])
-        for row, stamp in zip(
-            np.flatnonzero(~is_key).tolist(), stamps[~is_key].tolist(), strict=True
-        )
-        if stamp in first
-    ]
-    table = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    return table[:, 0], table[:, 1]
+    others = np.flatnonzero(~is_key)
+    if not len(looked):
+        return others[:0], others[:0]
+    order = np.argsort(looked, kind="stable")
+    at = np.searchsorted(looked[order], stamps[others])
+    which = order[np.minimum(at, len(looked) - 1)]
+    same = looked[which] == stamps[others]
+    return others[same], which[same]
 
 
 def _of_scans(segments: ScanSegments, scans: Index) -> ScanSegments:
