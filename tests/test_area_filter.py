@@ -12,9 +12,9 @@ from hiermap_cli.config import AssociationConfig, Config, FilterConfig, ForgetCo
 from hiermap_cli.estimation.motion import LASER_X, motion
 from hiermap_cli.estimation.stochastic_map import initial_map, predict
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_filter import forget_unseen, observe
 from hiermap_cli.mapping.area_map import ANCHOR, EMPTY, END, WALL, AreaMap
-from hiermap_cli.mapping.matching import associate
+from hiermap_cli.mapping.association.area_filter import forget_unseen, observe
+from hiermap_cli.mapping.association.matching import associate
 from hiermap_cli.mapping.portals import add_anchor
 from hiermap_cli.perception.segments import END_FREE, END_OPEN, END_VERTEX
 

@@ -11,12 +11,12 @@ from hiermap_cli.documents.checks import covariance_fault
 from hiermap_cli.estimation.stochastic_map import StochasticMap
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR, AreaMap
-from hiermap_cli.mapping.duplicates import Placed, contains, duplicates
-from hiermap_cli.mapping.joining import join
-from hiermap_cli.mapping.landmarks import find_landmarks, joint_covariance, landmark_model
+from hiermap_cli.mapping.areas.duplicates import Placed, contains, duplicates
+from hiermap_cli.mapping.areas.joining import join
+from hiermap_cli.mapping.areas.landmarks import find_landmarks, joint_covariance, landmark_model
+from hiermap_cli.mapping.areas.walls import at_vertices, wall_lines, wall_pieces
 from hiermap_cli.mapping.levels import change_frame
 from hiermap_cli.mapping.portals import Portal
-from hiermap_cli.mapping.walls import at_vertices, wall_lines, wall_pieces
 from hiermap_cli.perception.segments import END_VERTEX
 
 CONFIG = LandmarkConfig()

@@ -20,8 +20,7 @@ from estimation_cases import (
 from hiermap_cli.estimation.motion import LASER_X
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import END, WALL, add_ends, add_walls, area_from_here, forget
-from hiermap_cli.mapping.portals import add_anchor
-from hiermap_cli.mapping.sighting import (
+from hiermap_cli.mapping.association.sighting import (
     Matches,
     Seen,
     Sighting,
@@ -29,6 +28,7 @@ from hiermap_cli.mapping.sighting import (
     match_rows,
     object_frames,
 )
+from hiermap_cli.mapping.portals import add_anchor
 from hiermap_cli.perception.segments import END_VERTEX
 
 VERTICES = (END_VERTEX, END_VERTEX)

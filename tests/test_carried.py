@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hiermap_cli.config import LostConfig
-from hiermap_cli.mapping.carried import CALM, CarryWatch
+from hiermap_cli.mapping.odometry.carried import CALM, CarryWatch
 
 BEAMS = 90
 

@@ -8,12 +8,12 @@ from test_portals import ACROSS, fresh, strip
 
 from hiermap_cli.config import AreaConfig, DoorConfig
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.common_ground import Bars, grounds, one_place, together
-from hiermap_cli.mapping.extents import extents
-from hiermap_cli.mapping.freespace import FreeGrid, Region
-from hiermap_cli.mapping.places import Places
+from hiermap_cli.mapping.areas.common_ground import Bars, grounds, one_place, together
+from hiermap_cli.mapping.areas.extents import extents
+from hiermap_cli.mapping.areas.rooms import Rooms, decide
 from hiermap_cli.mapping.portals import Portal, add_anchor
-from hiermap_cli.mapping.rooms import Rooms, decide
+from hiermap_cli.mapping.topology.freespace import FreeGrid, Region
+from hiermap_cli.mapping.topology.places import Places
 
 NO_BARS = Bars(np.zeros((0, 3)), np.zeros(0))
 
@@ -219,7 +219,7 @@ def test_ground_parted_from_an_area_goes_to_the_other_that_has_seen_it():
 
 
 def test_regions_of_no_cells_are_left_as_they_are():
-    from hiermap_cli.mapping.extents import entered
+    from hiermap_cli.mapping.areas.extents import entered
 
     nothing = Region(np.zeros((0, 0), dtype=bool), (0, 0))
     assert entered(nothing, np.zeros((0, 2)), 1.7, 5.0) is nothing

@@ -10,9 +10,9 @@ import pytest
 from hiermap_cli.config import Config
 from hiermap_cli.evaluation.trajectory import ate
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.direction import reversed_, turned_from
 from hiermap_cli.mapping.levels import compose_levels
 from hiermap_cli.mapping.mapper import run_filter
+from hiermap_cli.mapping.odometry.direction import reversed_, turned_from
 from hiermap_cli.simulation.simulator import simulate
 from hiermap_cli.simulation.world import build_world, load_world
 

@@ -11,7 +11,7 @@ from hiermap_cli.documents.checks import covariance_fault
 from hiermap_cli.estimation.stochastic_map import StochasticMap
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR, AreaMap
-from hiermap_cli.mapping.doors import (
+from hiermap_cli.mapping.areas.doors import (
     TURNED,
     DoorInG,
     between_faces,
@@ -20,10 +20,10 @@ from hiermap_cli.mapping.doors import (
     door_sides,
     passages,
 )
-from hiermap_cli.mapping.joining import JoinedArea
-from hiermap_cli.mapping.landmarks import find_landmarks, landmark_model
+from hiermap_cli.mapping.areas.joining import JoinedArea
+from hiermap_cli.mapping.areas.landmarks import find_landmarks, landmark_model
+from hiermap_cli.mapping.areas.walls import wall_lines
 from hiermap_cli.mapping.portals import Portal
-from hiermap_cli.mapping.walls import wall_lines
 
 CONFIG = LandmarkConfig()
 # The door lies at (3, 0), looking down out of the area; the robot passed it 1 m beyond.

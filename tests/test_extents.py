@@ -8,10 +8,10 @@ import pytest
 from hiermap_cli.config import AreaConfig, DoorConfig
 from hiermap_cli.estimation.stochastic_map import initial_map
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap
-from hiermap_cli.mapping.extents import extents
-from hiermap_cli.mapping.freespace import FreeGrid
-from hiermap_cli.mapping.places import Places
-from hiermap_cli.mapping.rooms import Rooms
+from hiermap_cli.mapping.areas.extents import extents
+from hiermap_cli.mapping.areas.rooms import Rooms
+from hiermap_cli.mapping.topology.freespace import FreeGrid
+from hiermap_cli.mapping.topology.places import Places
 
 AREA = AreaMap(initial_map(np.zeros(3), np.zeros((3, 3)), np.zeros(0), np.zeros((0, 0))), EMPTY)
 

@@ -8,15 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hiermap_cli.config import AreaConfig
-from hiermap_cli.mapping.extents import area_kind
-from hiermap_cli.mapping.freespace import (
+from hiermap_cli.mapping.areas.extents import area_kind
+from hiermap_cli.mapping.areas.outlines import outline, simplified
+from hiermap_cli.mapping.topology.freespace import (
     CELL,
     FreeGrid,
     Region,
     closed,
     half_width,
 )
-from hiermap_cli.mapping.outlines import outline, simplified
 
 
 def ends_in_box(origin, low=(0.0, 0.0), high=(6.0, 4.0), beams=360):

@@ -30,6 +30,27 @@ FOLDERS = [
     "logs",
     "geometry",
 ]
+# The same within `mapping`: its folders and the modules beside them.
+MAPPING = [
+    "run",
+    "assembly",
+    "trust",
+    "areas",
+    "refinement",
+    "loops",
+    "levels",
+    "mapper",
+    "topology",
+    "odometry",
+    "association",
+    "keyscans",
+    "trail",
+    "metrics",
+    "environment",
+    "portals",
+    "area_map",
+    "model",
+]
 # Modules beside the folders: at the bottom, but for the entry point.
 BOTTOM = [
     "configtext",
@@ -101,6 +122,21 @@ def test_imports_go_down_only(path):
             continue
         assert own_rank is not None, f"{own} imports {imported}"
         assert other < own_rank, f"{own} imports {imported}, which stands above it"
+
+
+def test_every_part_of_mapping_is_ranked():
+    parts = {path.stem for path in (PACKAGE / "mapping").iterdir() if path.name[0] not in "_."}
+    assert parts == set(MAPPING)
+
+
+@pytest.mark.parametrize("path", sorted((PACKAGE / "mapping").rglob("*.py")), ids=name_of)
+def test_imports_within_mapping_go_down_only(path):
+    own = name_of(path).split(".")
+    for imported in imports_of(path):
+        parts = imported.split(".")
+        if len(own) > 2 and parts[1:2] == ["mapping"] and len(parts) > 2 and parts[2] != own[2]:
+            higher = MAPPING.index(own[2]) > MAPPING.index(parts[2])
+            assert not higher, f"{'.'.join(own)} imports {imported}, which stands above it"
 
 
 @pytest.mark.parametrize("path", MODULES + sorted((ROOT / "tests").rglob("*.py")), ids=at_root)

@@ -10,10 +10,10 @@ import pytest
 
 from hiermap_cli.config import Config
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.association.innovations import Innovation, InnovationLog, Sums
+from hiermap_cli.mapping.association.sighting import Matches
 from hiermap_cli.mapping.environment import Anchors, Link, compose_environment, loop_residuals
-from hiermap_cli.mapping.innovations import Innovation, InnovationLog, Sums
 from hiermap_cli.mapping.run import map_log
-from hiermap_cli.mapping.sighting import Matches
 from hiermap_cli.simulation.simulator import simulate
 from hiermap_cli.simulation.world import load_world
 

@@ -16,7 +16,7 @@ import pytest
 
 import hiermap_cli
 from hiermap_cli.geometry import lines, points, se2
-from hiermap_cli.mapping import doors
+from hiermap_cli.mapping.areas import doors
 from hiermap_cli.perception.kinds import corner, corridor, crossing, door, lineset
 
 PACKAGES = ("geometry", "perception", "estimation", "mapping")

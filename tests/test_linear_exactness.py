@@ -25,7 +25,7 @@ from hiermap_cli.estimation.stochastic_map import (
     remove_objects,
 )
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_filter import observe
+from hiermap_cli.mapping.association.area_filter import observe
 from hiermap_cli.perception.segments import END_OPEN, END_VERTEX
 from hiermap_cli.perception.views import SegmentView
 

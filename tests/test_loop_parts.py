@@ -10,10 +10,10 @@ from hiermap_cli.config import Config
 from hiermap_cli.estimation.motion import distrusted, motion
 from hiermap_cli.estimation.noise import NoiseScale
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.fragments import cut_path, fragments_of
-from hiermap_cli.mapping.loop_candidates import candidates, near_pairs, nothing_asked
-from hiermap_cli.mapping.loop_chain import broken_between, carried, chain, step_noise, steps_of
-from hiermap_cli.mapping.loop_graph import (
+from hiermap_cli.mapping.loops.candidates import candidates, near_pairs, nothing_asked
+from hiermap_cli.mapping.loops.chain import broken_between, carried, chain, step_noise, steps_of
+from hiermap_cli.mapping.loops.fragments import cut_path, fragments_of
+from hiermap_cli.mapping.loops.graph import (
     Edges,
     chi2,
     discrepancy,
@@ -23,8 +23,8 @@ from hiermap_cli.mapping.loop_graph import (
     solved,
     ways,
 )
-from hiermap_cli.mapping.loop_matching import Candidates, match, ragged
-from hiermap_cli.mapping.loop_sight import crossing_share, sights_of
+from hiermap_cli.mapping.loops.matching import Candidates, match, ragged
+from hiermap_cli.mapping.loops.sight import crossing_share, sights_of
 
 LOOPS = Config().loops
 

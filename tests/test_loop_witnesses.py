@@ -7,10 +7,10 @@ import pytest
 
 from hiermap_cli.config import Config
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.loop_choice import judge
-from hiermap_cli.mapping.loop_evidence import Evidence
-from hiermap_cli.mapping.loop_found import Found
-from hiermap_cli.mapping.loop_graph import Edges, joined, ways
+from hiermap_cli.mapping.loops.choice import judge
+from hiermap_cli.mapping.loops.evidence import Evidence
+from hiermap_cli.mapping.loops.found import Found
+from hiermap_cli.mapping.loops.graph import Edges, joined, ways
 
 LOOPS = Config().loops
 

@@ -9,7 +9,7 @@ from loop_cases import blank_corridor, comb, drive_of, twins
 from hiermap_cli.config import Config
 from hiermap_cli.estimation.noise import NoiseScale
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.loops import close_loops
+from hiermap_cli.mapping.loops.closing import close_loops
 
 WRONG = 0.4  # metres by which a wrong loop is off; the places that look alike are 3 m apart
 

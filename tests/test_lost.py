@@ -12,11 +12,11 @@ from hiermap_cli.config import Config
 from hiermap_cli.estimation.stochastic_map import initial_map
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap, add_walls
+from hiermap_cli.mapping.association.relocation import area_lines
 from hiermap_cli.mapping.environment import Anchors, Link, compose_environment
-from hiermap_cli.mapping.lost import constellations, through_walls
-from hiermap_cli.mapping.relocation import area_lines
 from hiermap_cli.mapping.run import map_log
-from hiermap_cli.mapping.whereabouts import settled
+from hiermap_cli.mapping.topology.lost import constellations, through_walls
+from hiermap_cli.mapping.topology.whereabouts import settled
 from hiermap_cli.perception.views import SegmentView
 from hiermap_cli.simulation.simulator import simulate
 from hiermap_cli.simulation.world import build_world, load_world

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hiermap_cli.geometry import raster
-from hiermap_cli.mapping.freespace import CELL, Region, closed
-from hiermap_cli.mapping.outlines import outline, simplified, slit
+from hiermap_cli.mapping.areas.outlines import outline, simplified, slit
+from hiermap_cli.mapping.topology.freespace import CELL, Region, closed
 
 
 def polygon_of(mask, detail=0.1):

@@ -8,8 +8,8 @@ import pytest
 from hiermap_cli.config import DoorConfig, LaserConfig
 from hiermap_cli.geometry import se2
 from hiermap_cli.logs.records import LaserGeometry, Mount, ScanBlock
-from hiermap_cli.mapping.near_ends import NearEnds
-from hiermap_cli.mapping.passages import (
+from hiermap_cli.mapping.topology.near_ends import NearEnds
+from hiermap_cli.mapping.topology.passages import (
     KEPT,
     Passage,
     PassageDetector,

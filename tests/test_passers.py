@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.near_ends import NearEnds
-from hiermap_cli.mapping.passers import Passers, gone_over, looked, seen_through
+from hiermap_cli.mapping.topology.near_ends import NearEnds
+from hiermap_cli.mapping.topology.passers import Passers, gone_over, looked, seen_through
 
 BEARINGS = np.radians(np.arange(-130.0, 130.5, 1.5))
 PERSON = 0.25  # metres of radius

@@ -11,11 +11,11 @@ from hiermap_cli.config import AreaConfig, DoorConfig
 from hiermap_cli.estimation.stochastic_map import Motion, initial_map, predict
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap
-from hiermap_cli.mapping.freespace import FreeGrid
-from hiermap_cli.mapping.places import Places
+from hiermap_cli.mapping.areas.rooms import decide
+from hiermap_cli.mapping.association.recognition import Ways, relative_frames
 from hiermap_cli.mapping.portals import KnownDoors, Portal, add_anchor, anchor_index, door_frame
-from hiermap_cli.mapping.recognition import Ways, relative_frames
-from hiermap_cli.mapping.rooms import decide
+from hiermap_cli.mapping.topology.freespace import FreeGrid
+from hiermap_cli.mapping.topology.places import Places
 
 STEP = np.array([4.0, 0.0, 0.0])
 NOISE = np.diag([1e-4, 4e-4, 1e-4])

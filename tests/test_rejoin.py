@@ -8,10 +8,10 @@ from test_refinement_run import ring
 
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR, END, WALL
-from hiermap_cli.mapping.joining import join
+from hiermap_cli.mapping.areas.joining import join
+from hiermap_cli.mapping.areas.rejoin import joined_area
 from hiermap_cli.mapping.levels import change_frame
 from hiermap_cli.mapping.portals import anchor_index
-from hiermap_cli.mapping.refinement.rejoin import joined_area
 
 LEAST = 2
 

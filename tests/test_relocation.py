@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from hiermap_cli.config import RelocationConfig
 from hiermap_cli.estimation.stochastic_map import StochasticMap
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.relocation import (
+from hiermap_cli.mapping.association.relocation import (
     area_lines,
     explained_length,
     relocate,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hiermap_cli.config import OdometryFaultConfig
-from hiermap_cli.mapping.standstill import BEAMS, WITNESSES, Standstill
-from hiermap_cli.mapping.stretches import Stretches
+from hiermap_cli.mapping.odometry.standstill import BEAMS, WITNESSES, Standstill
+from hiermap_cli.mapping.odometry.stretches import Stretches
 
 HERE = np.array([1.0, 2.0, 0.3])
 RANGES = np.linspace(1.0, 5.0, 2 * BEAMS)

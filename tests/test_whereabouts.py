@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.freespace import FreeGrid
-from hiermap_cli.mapping.whereabouts import compared, seen
+from hiermap_cli.mapping.topology.freespace import FreeGrid
+from hiermap_cli.mapping.topology.whereabouts import compared, seen
 
 LENGTH, WIDTH = 9.0, 2.0
 NICHES = (1.0, 3.5, 7.0)  # on the right of the corridor, 0.9 m wide and 0.5 m deep

@@ -10,9 +10,10 @@ import numpy as np
 from hiermap_cli.estimation import motion as odometry_model
 from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.doors import between_faces, door_in_g
-from hiermap_cli.mapping.found_areas import FoundArea, find_areas
-from hiermap_cli.mapping.landmarks import landmark_model
+from hiermap_cli.mapping.areas.doors import between_faces, door_in_g
+from hiermap_cli.mapping.areas.found_areas import FoundArea, find_areas
+from hiermap_cli.mapping.areas.landmarks import landmark_model
+from hiermap_cli.mapping.areas.rooms import Rooms, decide
 from hiermap_cli.mapping.metrics import metric
 from hiermap_cli.mapping.model import (
     AreaModel,
@@ -24,7 +25,6 @@ from hiermap_cli.mapping.model import (
     MapResult,
     Metric,
 )
-from hiermap_cli.mapping.rooms import Rooms, decide
 from hiermap_cli.mapping.trust import Trust
 
 if TYPE_CHECKING:

@@ -14,16 +14,16 @@ from hiermap_cli.estimation import motion as odometry_model
 from hiermap_cli.estimation.noise import NoiseScale, adapted, residual_factor
 from hiermap_cli.estimation.stochastic_map import Motion, initial_map, predict
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_filter import Step, forget_unseen, observe
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap
-from hiermap_cli.mapping.crossing import Crossings, Passing
-from hiermap_cli.mapping.driving import Driving
-from hiermap_cli.mapping.innovations import InnovationLog
+from hiermap_cli.mapping.association.area_filter import Step, forget_unseen, observe
+from hiermap_cli.mapping.association.innovations import InnovationLog
 from hiermap_cli.mapping.keyscans import BetweenRecord, KeyScanRecord
-from hiermap_cli.mapping.lost import moved, through_walls
 from hiermap_cli.mapping.model import Event
-from hiermap_cli.mapping.stepping import Stepper, matched_walls
-from hiermap_cli.mapping.stretches import Stretches
+from hiermap_cli.mapping.odometry.driving import Driving
+from hiermap_cli.mapping.odometry.stepping import Stepper, matched_walls
+from hiermap_cli.mapping.odometry.stretches import Stretches
+from hiermap_cli.mapping.topology.crossing import Crossings, Passing
+from hiermap_cli.mapping.topology.lost import moved, through_walls
 from hiermap_cli.mapping.trail import Trail
 from hiermap_cli.perception.segmentation import segment_block
 from hiermap_cli.perception.sight import sights
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import Config
     from hiermap_cli.logs.records import ScanBlock
-    from hiermap_cli.mapping.direction import Branch, Drive
+    from hiermap_cli.mapping.odometry.direction import Branch, Drive
     from hiermap_cli.mapping.portals import Portal
     from hiermap_cli.perception.sight import Sight
     from hiermap_cli.perception.views import SegmentView

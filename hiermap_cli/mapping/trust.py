@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hiermap_cli.mapping.area_map import END
-from hiermap_cli.mapping.innovations import Sums
+from hiermap_cli.mapping.association.innovations import Sums
 from hiermap_cli.mapping.metrics import metric
 from hiermap_cli.mapping.model import Metric
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from hiermap_cli.mapping.areas.found_areas import FoundArea
     from hiermap_cli.mapping.environment import LoopResidual
-    from hiermap_cli.mapping.found_areas import FoundArea
     from hiermap_cli.mapping.mapper import Mapper
 
 

@@ -16,8 +16,7 @@ from hiermap_cli.estimation.gaussian import symmetrise
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR
 from hiermap_cli.mapping.levels import Levels, change_frame, door_frames
-from hiermap_cli.mapping.looks import seen_from
-from hiermap_cli.mapping.loops import LoopResult, close_loops
+from hiermap_cli.mapping.loops.closing import LoopResult, close_loops
 from hiermap_cli.mapping.refinement.matches import (
     all_matches,
     filter_labels,
@@ -37,6 +36,7 @@ from hiermap_cli.mapping.refinement.problem import (
 from hiermap_cli.mapping.refinement.rebuild import area_map, sightings
 from hiermap_cli.mapping.refinement.smoothing import smooth
 from hiermap_cli.mapping.refinement.track import whole_trajectory
+from hiermap_cli.mapping.topology.looks import seen_from
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from hiermap_cli.mapping.area_map import AreaMap
     from hiermap_cli.mapping.keyscans import KeyScans
     from hiermap_cli.mapping.mapper import Mapper
-    from hiermap_cli.mapping.places import Places
     from hiermap_cli.mapping.refinement.problem import Matched, Noise
     from hiermap_cli.mapping.refinement.smoothing import Solution
+    from hiermap_cli.mapping.topology.places import Places
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]

@@ -1,0 +1,1 @@
+"""Rooms and corridors as people see them, made of the filter's areas."""

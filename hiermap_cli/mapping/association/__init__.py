@@ -1,0 +1,1 @@
+"""Sightings matched with the area's walls and ends, and the robot found again among them."""

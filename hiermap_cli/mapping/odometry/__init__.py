@@ -1,0 +1,1 @@
+"""Odometry that lies: which way it drives, stands, steps, is carried."""

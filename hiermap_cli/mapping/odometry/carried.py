@@ -1,0 +1,79 @@
+"""Was the robot lifted while its odometry stood still, and put down elsewhere?
+
+A robot that stands sees at every moment what it saw the moment before. If its odometry has not
+moved between two such moments and many ranges are others, some longer and some shorter, then it
+does not stand where it stood. People who come or go, and doors, change fewer of the ranges, or all
+of them one way, or go on changing them. Unlike a scan that fits no wall this shows in a corridor
+too, where from anywhere the same two walls are seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiermap_cli.mapping.odometry.standstill import BEAMS, STILL, STILL_ANGLE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import LostConfig
+
+    Array = NDArray[np.float64]
+    Ranges = NDArray[np.floating]
+
+CALM = 0.1  # share of the ranges that change, at most, while a robot stands
+EITHER_WAY = 0.15  # of the ranges that are others: at least so many longer, and so many shorter
+
+
+@dataclass(slots=True)
+class CarryWatch:
+    """Compares what the robot sees, when it stands, with what it saw where it stood before.
+
+    The odometry (3,) and ranges (n,) of the last scan, and of the last one that was like the one
+    before it, as long as the odometry is the same.
+    """
+
+    config: LostConfig
+    _last: tuple[Array, Ranges] | None = None
+    _stood: tuple[Array, Ranges] | None = None
+
+    def put_down(self, odometry: Array, ranges: Ranges) -> bool:
+        """Whether the robot has been put down where it stands, by the second scan there."""
+        now = odometry, ranges[:: max(1, len(ranges) // BEAMS)]
+        last, self._last = self._last, now
+        if last is None or not _same(last[0], odometry):
+            self._stood = None
+            return False
+        if sum(self._others(last[1], now[1])) > CALM:
+            return False
+        stood, self._stood = self._stood, now
+        if stood is None or not _same(stood[0], odometry):
+            return False
+        longer, shorter = self._others(stood[1], now[1])
+        both = longer + shorter
+        return both > self.config.others and min(longer, shorter) > EITHER_WAY * both
+
+    def forget(self) -> None:
+        """The robot has moved, although its odometry has not told."""
+        self._stood = None
+
+    def _others(self, then: Ranges, now: Ranges) -> tuple[float, float]:
+        """The shares of ranges that are longer now, and shorter."""
+        if len(then) != len(now):
+            return 0.0, 0.0
+        known = np.isfinite(then) & np.isfinite(now)
+        n = int(np.count_nonzero(known))
+        if n < BEAMS // 4:
+            return 0.0, 0.0
+        change = now[known] - then[known]
+        longer = int(np.count_nonzero(change > self.config.other_range))
+        shorter = int(np.count_nonzero(change < -self.config.other_range))
+        return longer / n, shorter / n
+
+
+def _same(a: Array, b: Array) -> bool:
+    dx, dy, dtheta = (a - b).tolist()
+    return bool(dx * dx + dy * dy < STILL**2 and abs(dtheta) < STILL_ANGLE)

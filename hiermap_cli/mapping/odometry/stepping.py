@@ -1,0 +1,112 @@
+"""A step of an area's filter from increment and scan to the area after them, and what if it fails.
+
+Nothing here has a consequence beyond the values that are returned: hypotheses are filtered by
+the same functions as what is believed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hiermap_cli.estimation import motion as odometry_model
+from hiermap_cli.estimation.association import chi_square
+from hiermap_cli.estimation.noise import NoiseScale
+from hiermap_cli.estimation.stochastic_map import Motion, predict
+from hiermap_cli.mapping.association.area_filter import Step, observe
+from hiermap_cli.mapping.association.relocation import relocate, robot_found, widened
+from hiermap_cli.perception.views import with_noise
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import Config
+    from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.perception.views import SegmentView
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class Stepper:
+    """Filters areas with the noise that this log has, as far as that is known by now."""
+
+    config: Config
+    noise: NoiseScale = field(default_factory=NoiseScale)
+    _wide: Config = field(init=False)
+
+    def __post_init__(self) -> None:
+        c = self.config
+        wide = c.association.model_copy(update={"max_angle": c.relocation.slip_max_angle})
+        self._wide = c.model_copy(update={"association": wide})
+
+    def noisy(self, view: SegmentView) -> SegmentView:
+        """A scan's view with the noise of this log."""
+        return with_noise(view, self.config.filter, self.noise.laser, self.noise.walls)
+
+    def motion(self, area: AreaMap, increment: Array, *, trusted: bool = True) -> Motion:
+        """The motion of an odometry increment, by what is known of the odometry so far."""
+        motion = odometry_model.motion(increment, area.V.parameters, self.config.odometry)
+        motion = motion._replace(covariance=self.noise.odometry * motion.covariance)
+        return motion if trusted else odometry_model.distrusted(motion, self.config.odometry)
+
+    def filtered(
+        self, area: AreaMap, increment: Array, view: SegmentView, key: int
+    ) -> tuple[Motion, Step]:
+        """An area after an increment and a `noisy` view."""
+        motion = self.motion(area, increment)
+        return motion, observe(replace(area, V=predict(area.V, motion)), view, key, self.config)
+
+    def found_again(
+        self, area: AreaMap, view: SegmentView, step: Step, key: int, *, suspect: bool
+    ) -> Step | None:
+        """The step taken from where the scan itself says the robot is, if that explains more.
+
+        That is a pose found among the walls, or else the prediction with room for an error.
+        """
+        c = self.config.relocation
+        found = relocate(area, view, c, suspect=suspect)
+        tried = [robot_found(area.V, found.pose, c)] if found is not None else []
+        tried.append(widened(area.V, c))
+        for hypothesis in tried:
+            again = observe(replace(area, V=hypothesis), view, key, self._wide)
+            matched, total = matched_length(view, again), float(view.length.sum())
+            more = matched - matched_length(view, step) >= max(c.gain * total, c.min_gain)
+            if more and matched >= max(c.min_share * total, c.min_explained):
+                return again
+        return None
+
+    def is_poor(
+        self, area: AreaMap, view: SegmentView, step: Step, known: int | None = None
+    ) -> bool:
+        """Whether so little of a scan matched that the prediction is in doubt.
+
+        Of walls with a uid below `known`, if given: those begun since prove nothing.
+        """
+        if len(view.length) < 3 or len(area.features.uid) <= 3:
+            return False
+        matched = view.length[step.matches.segment]
+        if known is not None:
+            matched = matched[step.area.features.uid[step.matches.wall] < known]
+        least = self.config.relocation.poor_match * float(view.length.sum())
+        return float(matched.sum()) < least
+
+    def misfit(self, step: Step) -> float:
+        """How badly a scan fits the walls: NIS, and the gate for each segment without a wall."""
+        missed = step.offered - len(step.matches.wall)
+        return step.nis + chi_square(self.config.association.gate, 2) * missed
+
+
+def matched_walls(view: SegmentView, step: Step) -> Index:
+    """The uid of the wall that each segment was matched with, -1 for none, (s,)."""
+    walls = np.full(len(view.length), -1)
+    walls[step.matches.segment] = step.area.features.uid[step.matches.wall]
+    return walls
+
+
+def matched_length(view: SegmentView, step: Step) -> float:
+    """Metres of the scan's segments that were matched."""
+    return float(view.length[step.matches.segment].sum())

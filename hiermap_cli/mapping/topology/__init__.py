@@ -1,0 +1,1 @@
+"""Free space, doorways and places: which area the robot is in."""

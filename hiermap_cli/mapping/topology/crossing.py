@@ -1,0 +1,383 @@
+"""From area to area: through a known door, through a new one, or out of one grown too large."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.estimation.stochastic_map import (
+    initial_map,
+    place_robot,
+    relative_covariance,
+)
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.area_map import EMPTY, AreaMap, area_from_here
+from hiermap_cli.mapping.association.recognition import Asked, Recogniser
+from hiermap_cli.mapping.association.relocation import robot_found
+from hiermap_cli.mapping.model import Event
+from hiermap_cli.mapping.portals import (
+    KnownDoors,
+    Portal,
+    add_anchor,
+    adrift,
+    anchor_index,
+    door_frame,
+)
+from hiermap_cli.mapping.topology.looks import LookRecord
+from hiermap_cli.mapping.topology.lost import Place, Search
+from hiermap_cli.mapping.topology.passages import (
+    KEPT,
+    Passage,
+    PassageDetector,
+    Trace,
+    aligned,
+    needed,
+)
+from hiermap_cli.mapping.topology.places import AT_HOME, NEAR_BY, Places
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import Config
+    from hiermap_cli.mapping.association.recognition import Recognised
+    from hiermap_cli.mapping.portals import PortalKind
+    from hiermap_cli.mapping.topology.freespace import Region
+    from hiermap_cli.perception.sight import Sight
+    from hiermap_cli.perception.views import SegmentView
+
+    Array = NDArray[np.float64]
+
+NOWHERE = np.zeros(2)
+LATELY = 8.0  # metres of path that are still the same visit
+
+
+class Passing(NamedTuple):
+    """A key scan after the filter has used it.
+
+    Its stamp and number, metres of path since the last one, and what it saw.
+    """
+
+    stamp_ns: int
+    key: int
+    distance: float
+    sight: Sight
+    view: SegmentView
+
+
+@dataclass(slots=True)
+class Crossings:
+    """Watches for doors, and opens and re-enters areas.
+
+    `areas` and `events` are the mapper's own: areas are replaced and appended here.
+    """
+
+    config: Config
+    areas: list[AreaMap]
+    events: list[Event]
+    portals: list[Portal] = field(default_factory=list)
+    current: int = 0
+    trace: Trace = field(default_factory=Trace)
+    places: Places = field(init=False)
+    _detector: PassageDetector = field(init=False)
+    _doors: KnownDoors = field(init=False)
+    _recogniser: Recogniser = field(init=False)
+    _search: Search = field(init=False)
+    _apart: frozenset[int] = frozenset()
+    _began: bool = True
+    _cut: bool = False
+
+    def __post_init__(self) -> None:
+        looks = LookRecord() if self.config.refine.enabled else None
+        self.places = Places(self.config.doors.max_width, looks)
+        self._detector = PassageDetector(self.config.doors)
+        self._doors = KnownDoors(self.config.doors.hysteresis)
+        self._recogniser = Recogniser(self.config)
+        self._search = Search(self.config)
+
+    @property
+    def area(self) -> AreaMap:
+        """The area in which the robot is."""
+        return self.areas[self.current]
+
+    def step(self, now: Passing) -> int:
+        """After a key scan: the area in which the robot is from now on."""
+        robot = self.area.V.robot
+        self.trace.add(robot, now.distance, now.sight, now.key)
+        self.places.look(self.current, self.trace, 2.0 * self.config.doors.reach)
+        through = self._doors.gone_through(robot)
+        if through is not None:
+            self._reenter(now, through)
+            return self.current
+        passage = self._detector.passed(self.trace)
+        if passage is not None and not self._doors.leads_out(passage.frame):
+            if passage.evidence >= self.config.doors.min_evidence * needed(passage.width):
+                self._enter_new(now, "door", passage)
+                return self.current
+            self._event(now, "door_refused", area=self._name(), **_figures(passage))
+        known = self._recognise(now)
+        if known is not None:
+            self._known_again(now, known)
+            return self.current
+        c = self.config.areas
+        far = math.hypot(robot[0], robot[1]) > c.max_extent
+        large = far or len(self.area.features.uid) > c.max_objects
+        if large and not self._on_known_ground():
+            frame = se2.compose(robot, np.array([0.0, 0.0, -0.5 * np.pi]))
+            at = Passage(frame, 2.0, self.trace.length, NOWHERE, NOWHERE)
+            self._enter_new(now, "size", at)
+        return self.current
+
+    @property
+    def lost(self) -> bool:
+        """Whether it is not known where the present area lies."""
+        return bool(self._apart)
+
+    def set_apart(self, key: int, travelled: float) -> int:
+        """A fragment that hangs on nothing: the robot, lost, is certain at its origin.
+
+        It is `key`'s scan that is the fragment's first; what was seen after `travelled` metres of
+        path was not seen from where the robot was believed to be. Returns the new area.
+        """
+        a, c = self.current, self.config.lost
+        self.trace.drop(travelled)
+        self.places.rewind(key)
+        self.places.look(a, self.trace, -1.0)
+        left, anchor_a = add_anchor(self.area, key - 1)
+        self.areas[a] = left
+        V, m = left.V, len(left.V.parameters)
+        fresh = initial_map(
+            np.zeros(3), np.zeros((3, 3)), V.parameters, V.covariance[3 : 3 + m, 3 : 3 + m],
+            V.coordinates,
+        )  # fmt: skip
+        new, anchor_b = adrift(AreaMap(fresh, EMPTY), key, c.sigma, c.sigma_angle)
+        self.areas.append(new)
+        b = len(self.areas) - 1
+        self.portals.append(Portal(a, anchor_a, b, anchor_b, "lost", np.zeros(3), 0.0, 0.0, 0.0))
+        self.trace.drop(-1.0)
+        self._go(b, V.robot)
+        self._detector.clear(self.trace.length)
+        self._search.forget()
+        self._began = True
+        return b
+
+    def finish(self) -> None:
+        """The end of the log: what was seen last belongs to the area where the robot is."""
+        self.places.look(self.current, self.trace, -1.0)
+
+    def _enter_new(self, now: Passing, kind: PortalKind, passage: Passage) -> None:
+        """A new area, with its frame where the robot is: certain in its own frame."""
+        a = self.current
+        self.places.leave(a, self.trace, passage.frame)
+        left, anchor_a = add_anchor(self.area, now.key)
+        self.areas[a] = left
+        V = left.V
+        new, anchor_b = add_anchor(area_from_here(left, now.key), now.key)
+        self.areas.append(new)
+        b = len(self.areas) - 1
+        self.portals.append(
+            Portal(
+                a,
+                anchor_a,
+                b,
+                anchor_b,
+                kind,
+                se2.between(V.robot, passage.frame),
+                passage.width,
+                float(passage.wall.sum()),
+                float(passage.open.sum()),
+            )
+        )
+        self._go(b, V.robot)
+        self._began, self._cut = True, kind == "size"
+        self._event(
+            now,
+            "area_entered",
+            area=self._name(),
+            door=f"D{len(self.portals)}",
+            **_figures(passage),
+        )
+
+    def _reenter(self, now: Passing, index: int) -> None:
+        """Back through a known door: the robot is placed in the old area by the door's anchors.
+
+        The door seen from here is the door seen from there; what the robot did since it was
+        there is in the area that it leaves, and independent of the one it enters.
+        """
+        p = self.portals[index]
+        out_of_a = p.a == self.current
+        door = door_frame(self.area, p, from_a=out_of_a)
+        self.places.leave(self.current, self.trace, door, 1.0 if out_of_a else -1.0)
+        there = p.b if out_of_a else p.a
+        out, into = (p.anchor_a, p.anchor_b) if out_of_a else (p.anchor_b, p.anchor_a)
+        V = self.area.V
+        i = anchor_index(self.area, out)
+        R_anchor_r = se2.between(V.poses[i], V.robot)
+        C = relative_covariance(V, i, 0)
+        m = len(V.parameters)
+        other = self.areas[there]
+        placed = place_robot(
+            other.V,
+            anchor_index(other, into),
+            R_anchor_r,
+            C,
+            V.parameters,
+            V.covariance[3 : 3 + m, 3 : 3 + m],
+        )
+        self.areas[there] = replace(other, V=placed)
+        self.portals[index] = self._seen_again(p, door)
+        self._go(there, V.robot)
+        self._event(now, "area_reentered", area=self._name(), door=f"D{index + 1}")
+
+    def _seen_again(self, p: Portal, door: Array) -> Portal:
+        """The portal with the evidence of one crossing more: the mean of all."""
+        n = p.crossings
+        if p.kind == "door":
+            rays = self.trace.rays(self.trace.length - KEPT)
+            _, wall, opened = aligned(door, p.width, *rays)
+            p = replace(
+                p,
+                wall=(n * p.wall + float(wall.sum())) / (n + 1),
+                open=(n * p.open + float(opened.sum())) / (n + 1),
+            )
+        return replace(p, crossings=n + 1)
+
+    def _recognise(self, now: Passing) -> Recognised | None:
+        """An area known before, if the robot has come back into it unawares."""
+        if not self._recogniser.due(self.trace.length):
+            return None
+        if self._apart:
+            self._recogniser.asked(self.trace.length)
+            return self._search.ask(self.area, now.key, self.trace, self._elsewhere())
+        mine = self._same_as(self.current)
+        at_home = self._on_known_ground()
+        # An area that was cut for its size goes on ahead of the cut.
+        before = self.trace.entered - LATELY if self._cut else np.inf
+        asked = []
+        for h, R_h_r in self._recogniser.candidates(self.area.V.robot):
+            # Of one place the area that was begun first is gone on with.
+            if (h > self.current) if h in mine else at_home:
+                continue
+            if not self.places.known_ground(h, R_h_r[:2], before, NEAR_BY):
+                continue
+            region = self.places.region(h, self.areas[h], self.portals)
+            if region.contains(R_h_r[:2]):
+                R_h_c = se2.compose(R_h_r, se2.invert(self.area.V.robot))
+                asked.append(Asked(h, self.areas[h], self._all_along_in(region, R_h_c)))
+        return self._recogniser.ask(self.area, now.key, self.trace.length, asked)
+
+    def _elsewhere(self) -> dict[int, Place]:
+        """All areas but those that the robot has been in since it was lost."""
+        frames = self._recogniser.frames
+        return {
+            h: Place(area, frames[h].pose, self.places.seen(h))
+            for h, area in enumerate(self.areas)
+            if h not in self._apart and h in frames
+        }
+
+    def _on_known_ground(self) -> bool:
+        """Whether the robot has been about here before, in the present area."""
+        before = self.trace.length - LATELY
+        return self.places.known_ground(self.current, self.area.V.robot[:2], before, AT_HOME)
+
+    def _all_along_in(self, region: Region, R_h_c: Array) -> bool:
+        """Whether the robot has been there ever since it began the present area, just now."""
+        return self._began and self.places.within(self.trace, R_h_c, region, self.trace.entered)
+
+    def _same_as(self, area: int) -> set[int]:
+        """Areas that are one place with this one."""
+        return self._reached(area, ("same",))
+
+    def _reached(self, area: int, kinds: Sequence[PortalKind]) -> set[int]:
+        """Areas that portals of these kinds join to this one."""
+        joins = [(p.a, p.b) for p in self.portals if p.kind in kinds]
+        found, grown = {area}, True
+        while grown:
+            more = {there for a, b in joins for here, there in ((a, b), (b, a)) if here in found}
+            grown = not more <= found
+            found |= more
+        return found
+
+    def _known_again(self, now: Passing, known: Recognised) -> None:
+        """On in an area recognised by its walls, which the robot is now known to be in.
+
+        The robot is placed there as uncertain as such a pose is, and both areas keep it as an
+        anchor: a link that no door explains, and a loop of the environment level.
+        """
+        here, there = self.current, known.area
+        region = self.places.region(there, self.areas[there], self.portals)
+        young = self._all_along_in(region, known.R_h_c)
+        if self._apart and self._began:
+            # It has gone through no door since it was lost, if it was mostly where that area is.
+            poses = [se2.compose(known.R_h_c, pose) for pose in self.trace.poses]
+            inside = [region.contains(pose[:2]) for pose in poses]
+            young = 2 * sum(inside) > len(inside)
+        self.places.look(here, self.trace, -1.0)
+        left, anchor_a = add_anchor(self.area, now.key)
+        self.areas[here] = left
+        V = left.V
+        m = len(V.parameters)
+        other = self.areas[there]
+        C_parameters = V.covariance[3 : 3 + m, 3 : 3 + m]
+        pose = se2.compose(known.R_h_c, V.robot)
+        found = robot_found(other.V, pose, self.config.relocation)
+        P = found.covariance.copy()
+        P[3 : 3 + m], P[:, 3 : 3 + m] = 0.0, 0.0
+        P[3 : 3 + m, 3 : 3 + m] = C_parameters
+        found = replace(found, parameters=V.parameters, covariance=P)
+        self.areas[there], anchor_b = add_anchor(replace(other, V=found), now.key)
+        kind: PortalKind = "same" if young else "open"
+        link = Portal(here, anchor_a, there, anchor_b, kind, np.zeros(3), 0.0, 0.0, 0.0)
+        lost = [i for i, p in enumerate(self.portals) if p.kind == "lost" and p.b in self._apart]
+        if lost:
+            # It is known now where the fragment lies: not where it was lost.
+            self.portals[lost[0]] = replace(
+                link, a=there, anchor_a=anchor_b, b=here, anchor_b=anchor_a
+            )
+        else:
+            self.portals.append(link)
+        since = int(np.searchsorted(self.trace.travelled, self.trace.entered))
+        self._go(there, V.robot)
+        self._doors.replay(self.trace.poses[since:])
+        self._event(
+            now,
+            "area_recognised",
+            area=self._name(),
+            left=f"A{here + 1}",
+            link=kind,
+            explained=known.explained,
+            total=known.total,
+            walls=known.walls,
+        )
+
+    def _go(self, area: int, R_here_r: Array) -> None:
+        """On in another area, where the robot is placed; in the one left it was at `R_here_r`."""
+        self.current = area
+        R_there_here = se2.compose(self.area.V.robot, se2.invert(R_here_r))
+        self.trace.move(R_there_here)
+        self._detector.move(R_there_here)
+        self._detector.forget_before(self.trace.length)
+        self._doors.set(area, self.areas, self.portals)
+        self._recogniser.set(area, self.areas, self.portals, self.trace.length)
+        joined = self._reached(area, ("door", "open", "same", "size"))
+        self._apart = frozenset() if 0 in joined else frozenset(joined)
+        self.trace.entered = self.trace.length
+        self._began = self._cut = False
+
+    def _name(self) -> str:
+        return f"A{self.current + 1}"
+
+    def _event(self, now: Passing, kind: str, **details: object) -> None:
+        self.events.append(Event(now.stamp_ns, kind, details))
+
+
+def _figures(passage: Passage) -> dict[str, object]:
+    return {
+        "width": passage.width,
+        "wall": passage.wall.tolist(),
+        "open": passage.open.tolist(),
+    }

@@ -1,0 +1,399 @@
+"""Narrow places on the robot's path, and what was seen of the line across them.
+
+At every point of the path the free width is that of the narrowest chord through it, between two
+places where beams ended, whatever its direction: so a door that is passed at a slant is as
+narrow as one passed straight. Where the path is narrower than a little before and a little
+after, the chord lies between two jambs, or between pieces of furniture. What tells them apart is
+the line through both: from a door's jambs walls run on along it, where beams end and none
+passes; beside furniture the beams go on.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.topology.near_ends import NearEnds
+from hiermap_cli.mapping.topology.passers import Passers, gone_over
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from hiermap_cli.config import DoorConfig
+    from hiermap_cli.perception.sight import Sight
+
+    Array = NDArray[np.float64]
+    Index = NDArray[np.int64]
+
+NEAR = 3.0  # metres: ends nearer than this to the laser tell the width of the path
+KEPT = 5.0  # metres of path that are remembered
+MOST = 150  # scans that are remembered
+APART, APART_ANGLE = 0.08, 0.1  # metres or radians between scans that are remembered
+NEAR_APART = 0.3  # metres and radians, together, between scans whose ends tell the width
+SAMPLE = 0.12  # metres of path between the points at which its width is taken
+LAG = 0.3  # metres of path beyond a point before its width is taken
+BESIDE = 0.4  # metres of path within which a narrow place is the narrowest, and told once
+WIDEST = 1.6  # metres from a point of the path in which a jamb is looked for
+SECTORS = 48
+OPPOSITE = 2  # sectors by which the two jambs may miss opposite directions
+# The sectors that lie across from each.
+ACROSS = (np.arange(SECTORS)[:, None] + np.arange(-OPPOSITE, OPPOSITE + 1) + SECTORS // 2) % SECTORS
+# Metres across the line and radians by which a frame is moved to lie along walls, in two rounds.
+COARSE = tuple((0.0, 0.2 * k) for k in (0, 1, -1, 2, -2, 3, -3))
+FINE = tuple((offset, 0.1 * k) for offset in (0.0, 0.1, -0.1) for k in (0, 1, -1))
+BIN = 0.1  # metres of the line beside a jamb that are judged together
+BINS = 12
+THICKNESS = 0.22  # metres off the line at which a beam's end still belongs to the wall
+BEYOND = 0.3  # metres behind the line that a beam must reach to have passed it
+ASIDE = 0.35  # metres beside the jambs that a path through them may seem to be
+STRAIGHT = 0.5  # sine of the angle between the line and a path that crosses it
+STAND_OFF = 0.25  # metres off the line from which it is judged
+
+
+class Passage(NamedTuple):
+    """A narrow place that the robot has passed.
+
+    frame: (3,) origin midway between the jambs, X along the line between them, Y in the
+    direction of crossing. width: metres between the jambs. travelled: metres of path at which it
+    was passed. wall, open: (2,) metres of the line beside each jamb (left of the crossing is the
+    negative X, first) that are wall, and that beams have passed.
+    """
+
+    frame: Array
+    width: float
+    travelled: float
+    wall: Array
+    open: Array
+
+    @property
+    def evidence(self) -> float:
+        """Metres of wall beside the jambs less metres that are open."""
+        return float(self.wall.sum() - self.open.sum())
+
+
+@dataclass(slots=True)
+class Trace:
+    """The last metres of the path and what was seen from there, in the frame of the area.
+
+    keys, sights: the key scans, and what they saw in the robot's own frame.
+    """
+
+    travelled: list[float] = field(default_factory=list)
+    turned: list[float] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    origins: list[Array] = field(default_factory=list)
+    ends: list[Array] = field(default_factory=list)
+    keys: list[int] = field(default_factory=list)
+    sights: list[Sight] = field(default_factory=list)
+    near: NearEnds = field(default_factory=NearEnds)
+    length: float = 0.0
+    fresh: int = 0  # of the last scans: not yet taken by `older`
+    entered: float = 0.0  # metres of path at which it came into the present area
+    _told: tuple[float, float] = (-np.inf, 0.0)
+    _passers: Passers = field(default_factory=Passers)
+
+    def add(self, pose: Array, step: float, sight: Sight, key: int = -1) -> None:
+        """Scan number `key` taken at `pose` (3,), `step` metres of path after the last one."""
+        self.length += step
+        turn_so_far = 0.0
+        if self.poses:
+            turned = abs(se2.wrap_one(float(pose[2] - self.poses[-1][2])))
+            if self.length - self.travelled[-1] < APART and turned < APART_ANGLE:
+                return
+            turn_so_far = self.turned[-1] + turned
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        turn = np.array([[c, s], [-s, c]])
+        origin = pose[:2] + sight.origin @ turn
+        ends = pose[:2] + sight.ends @ turn
+        self.travelled.append(self.length)
+        self.turned.append(turn_so_far)
+        self.poses.append(pose)
+        self.origins.append(origin)
+        self.ends.append(ends)
+        self.keys.append(key)
+        self.sights.append(sight)
+        self.near.append(self._near(origin, ends, turn_so_far))
+        self.fresh += 1
+        old = 0
+        while self.travelled[old] < self.length - KEPT or len(self.poses) - old > MOST:
+            old += 1
+        if old:
+            for kept in self._every():
+                del kept[:old]
+            self.fresh = min(self.fresh, len(self.poses))
+
+    def _near(self, origin: Array, ends: Array, turned: float) -> Array:
+        """Ends near enough to tell the width of the path, of a scan that has some new to tell."""
+        moved = self.length - self._told[0] + abs(turned - self._told[1])
+        if moved < NEAR_APART:
+            return ends[:0]
+        self._told = (self.length, turned)
+        d = ends - origin
+        near = ends[d[:, 0] ** 2 + d[:, 1] ** 2 < NEAR * NEAR]
+        return self._passers.persisting(origin, ends, near, self.near)
+
+    def older(self, behind: float) -> list[int]:
+        """Scans taken more than `behind` metres of path ago; each is told once."""
+        first = len(self.poses) - self.fresh
+        last = bisect_left(self.travelled, self.length - behind)
+        if last <= first:
+            return []
+        self.fresh = len(self.poses) - last
+        return list(range(first, last))
+
+    def move(self, R_b_a: Array) -> None:
+        """Into the frame of another area, seen from which the present one is `R_b_a`."""
+        c, s = np.cos(R_b_a[2]), np.sin(R_b_a[2])
+        turn = np.array([[c, s], [-s, c]])
+        self.poses = [se2.compose(R_b_a, pose) for pose in self.poses]
+        for kept in (self.origins, self.ends):
+            kept[:] = [R_b_a[:2] + points @ turn for points in kept]
+        self.near.move(R_b_a)
+        self._passers.move(R_b_a)
+
+    def drop(self, after: float) -> None:
+        """Without the scans taken after that many metres of path."""
+        keep = bisect_right(self.travelled, after)
+        self._passers.forget()
+        self.fresh = max(self.fresh - (len(self.poses) - keep), 0)
+        for kept in self._every():
+            del kept[keep:]
+
+    def _every(self) -> tuple[list[Any] | NearEnds, ...]:
+        """All that is kept for each scan."""
+        return (
+            self.travelled, self.turned, self.poses, self.origins, self.ends, self.keys,
+            self.sights, self.near,
+        )  # fmt: skip
+
+    def rays(self, start: float) -> tuple[Array, Array]:
+        """Origins and ends (n, 2) of all beams since `start` metres of path."""
+        first = int(np.searchsorted(self.travelled, start))
+        counts = [len(ends) for ends in self.ends[first:]]
+        return np.repeat(self.origins[first:], counts, axis=0), np.concatenate(self.ends[first:])
+
+
+@dataclass(slots=True)
+class PassageDetector:
+    """Takes the width of the path as the robot goes, and tells narrow places it has passed."""
+
+    config: DoorConfig
+    at: list[float] = field(default_factory=list)
+    width: list[float] = field(default_factory=list)
+    jambs: list[Array] = field(default_factory=list)
+    heading: list[Array] = field(default_factory=list)
+    _next: float = SAMPLE
+    _last: float = 0.0
+
+    def forget_before(self, travelled: float) -> None:
+        """Nothing that was passed before is told any more."""
+        self._last = travelled
+
+    def clear(self, travelled: float) -> None:
+        """As if the path began there."""
+        self.at, self.width, self.jambs, self.heading = [], [], [], []
+        self._next, self._last = travelled + SAMPLE, travelled
+
+    def move(self, R_b_a: Array) -> None:
+        """Into the frame of another area; see `Trace.move`."""
+        c, s = np.cos(R_b_a[2]), np.sin(R_b_a[2])
+        turn = np.array([[c, s], [-s, c]])
+        self.jambs = [R_b_a[:2] + jambs @ turn for jambs in self.jambs]
+        self.heading = [heading @ turn for heading in self.heading]
+
+    def passed(self, trace: Trace) -> Passage | None:
+        """The next narrow place that now lies behind the robot, if there is one."""
+        taken = False
+        while self._next <= trace.length - LAG:
+            self._take(trace, self._next)
+            self._next += SAMPLE
+            taken = True
+        return self._narrowest(trace) if taken else None
+
+    def _take(self, trace: Trace, s: float) -> None:
+        if len(trace.poses) < 2:
+            return
+        i = min(max(bisect_left(trace.travelled, s), 1), len(trace.poses) - 1)
+        a, b = trace.poses[i - 1][:2], trace.poses[i][:2]
+        span = trace.travelled[i] - trace.travelled[i - 1]
+        f = (s - trace.travelled[i - 1]) / span if span > 0 else 1.0
+        point = a + min(max(f, 0.0), 1.0) * (b - a)
+        recent = bisect_left(trace.travelled, s - NEAR)
+        most = self.config.max_width + self.config.widening
+        ends = trace.near.since(recent)
+        width, jambs = narrowest_chord(point, ends, most)
+        if width < self.config.min_width or (width <= most and gone_over(jambs, trace.poses).all()):
+            # No robot goes through there: who walks before it is on its path, and no jamb.
+            ends = ends[~gone_over(ends, trace.poses)]
+            width, jambs = narrowest_chord(point, ends, most)
+        self.at.append(s)
+        self.width.append(width)
+        self.jambs.append(jambs)
+        self.heading.append(b - a)
+        if len(self.at) > 3 * self.config.reach / SAMPLE + 20:
+            for kept in (self.at, self.width, self.jambs, self.heading):
+                del kept[0]
+
+    def _narrowest(self, trace: Trace) -> Passage | None:
+        c = self.config
+        if len(self.at) < 8:
+            return None
+        if min(self.width) > c.max_width:
+            return None
+        at, width = self.at, self.width
+        first = bisect_right(at, max(at[-1] - c.reach, self._last))
+        last = bisect_right(at, at[-1] - BESIDE)
+        i = min(range(first, last), key=width.__getitem__, default=-1)
+        if i < 0 or not c.min_width <= width[i] <= c.max_width:
+            return None
+        before = width[bisect_left(at, at[i] - c.reach) : i]
+        after = width[i + 1 : bisect_right(at, at[i] + c.reach)]
+        near = width[bisect_left(at, at[i] - BESIDE) : bisect_right(at, at[i] + BESIDE)]
+        if not before or width[i] > min(near):
+            return None
+        if min(max(before), max(after)) < width[i] + c.widening:
+            return None
+        frame = _frame(self.jambs[i], self.heading[i])
+        if se2.between(frame, trace.poses[-1])[1] < STAND_OFF:
+            return None
+        if abs(np.sin(np.arctan2(*self.heading[i][::-1]) - frame[2])) < STRAIGHT:
+            return None
+        self._last = at[i] + BESIDE
+        if _came_by(frame, width[i], trace, at[i]):
+            return None
+        frame, wall, opened = aligned(frame, width[i], *trace.rays(at[i] - 4.0))
+        return Passage(frame, width[i], at[i], wall, opened)
+
+
+def _came_by(frame: Array, width: float, trace: Trace, travelled: float) -> bool:
+    """Whether the robot, just before, went the other way between the jambs: it is only back."""
+    since = int(np.searchsorted(trace.travelled, trace.entered))
+    until = int(np.searchsorted(trace.travelled, travelled))
+    if until - since < 2:
+        return False
+    u, v, _ = se2.between(frame, np.array(trace.poses[since:until])).T
+    over = np.flatnonzero((v[:-1] > 0.0) & (v[1:] <= 0.0))
+    return bool(np.any(np.abs(u[over]) < 0.5 * width + ASIDE))
+
+
+def needed(width: float) -> float:
+    """Metres of wall beside the jambs, less openings, that make a door of this width.
+
+    As much as the width, and a metre beside a narrow one: two pieces of furniture that stand
+    near each other have some wall or other beside them.
+    """
+    return max(1.0, width)
+
+
+def narrowest_chord(point: Array, ends: Array, most: float = 2.0 * WIDEST) -> tuple[float, Array]:
+    """The narrowest chord through a point between beams' ends: its length, its ends (2, 2).
+
+    Ends beyond `WIDEST` do not count: the longest chord is twice that. Where none is as short as
+    `most` the longest is told, with its ends in the point.
+    """
+    x, y = ends[:, 0] - point[0], ends[:, 1] - point[1]
+    r2 = x * x + y * y
+    shortest = math.sqrt(r2.min(initial=WIDEST * WIDEST))
+    if 2.0 * shortest > most:
+        return 2.0 * WIDEST, np.array((point, point))
+    # Even with the nearest end of all, one farther than this makes a chord that is too long.
+    near = (r2 < min(WIDEST, most - shortest) ** 2).nonzero()[0]
+    x, y, r = x[near], y[near], np.sqrt(r2[near])
+    sector = ((np.arctan2(y, x) + np.pi) * (SECTORS / (2.0 * np.pi))).astype(np.int64)
+    nearest = np.full(SECTORS + 1, WIDEST)
+    np.minimum.at(nearest, sector, r)
+    nearest[0] = min(nearest[0], nearest[SECTORS])  # where the angle is pi
+    across = nearest[ACROSS]
+    chord = nearest[:SECTORS] + across.min(axis=1)
+    i = int(chord.argmin())
+    if chord[i] > most:
+        return 2.0 * WIDEST, np.array((point, point))
+    j = int(ACROSS[i, across[i].argmin()])
+    jambs = np.empty((2, 2))
+    for k, b in enumerate((j, i)):
+        if nearest[b] < WIDEST:
+            at = ((r == nearest[b]) & (sector % SECTORS == b)).argmax()
+            jambs[k] = point[0] + x[at], point[1] + y[at]
+        else:
+            angle = 2.0 * np.pi * (b + 0.5) / SECTORS - np.pi
+            jambs[k] = point + WIDEST * np.array([np.cos(angle), np.sin(angle)])
+    return float(chord[i]), jambs
+
+
+def _frame(jambs: Array, heading: Array) -> Array:
+    along = jambs[1] - jambs[0]
+    theta = float(np.arctan2(along[1], along[0]))
+    if along[0] * heading[1] - along[1] * heading[0] < 0.0:
+        theta += np.pi
+    middle = jambs.mean(axis=0)
+    return np.array([middle[0], middle[1], se2.wrap(np.array(theta))])
+
+
+def aligned(frame: Array, width: float, origins: Array, ends: Array) -> tuple[Array, Array, Array]:
+    """The frame turned and moved a little so that most wall and least opening lies on its line.
+
+    Returns it with metres of wall and of opening beside each jamb.
+    """
+    origins, ends = _about(frame, 0.5 * width + BIN * BINS + 0.8, origins, ends)
+    best = (-np.inf, frame, np.zeros(2), np.zeros(2))
+    middle, tried = (0.0, 0.0), set()
+    for steps in (COARSE, FINE):
+        about = middle
+        for offset, turn in steps:
+            move = (round(about[0] + offset, 3), round(about[1] + turn, 3))
+            if move in tried:
+                continue
+            tried.add(move)
+            moved = se2.compose(frame, np.array([0.0, *move]))
+            wall, opened = line_evidence(moved, width, origins, ends)
+            score = wall.sum() - opened.sum() - 0.2 * abs(move[1])
+            if score > best[0]:
+                best, middle = (score, moved, wall, opened), move
+    return best[1], best[2], best[3]
+
+
+def _about(frame: Array, radius: float, origins: Array, ends: Array) -> tuple[Array, Array]:
+    """The beams that come within `radius` of the frame's origin, in columns."""
+    (ox, oy), (dx, dy) = (origins - frame[:2]).T, (ends - origins).T
+    t = -(ox * dx + oy * dy) / np.maximum(dx * dx + dy * dy, 1e-12)
+    t = t.clip(0.0, 1.0)
+    x, y = ox + t * dx, oy + t * dy
+    near = (x * x + y * y < radius * radius).nonzero()[0]
+    return origins.T.take(near, axis=1).T, ends.T.take(near, axis=1).T
+
+
+def line_evidence(frame: Array, width: float, origins: Array, ends: Array) -> tuple[Array, Array]:
+    """Metres (2,) of the line beside each jamb that are wall, and that beams have passed.
+
+    A piece of the line is wall where beams end on it and (nearly) none passes, open where more
+    pass than end; where no beam comes it is neither.
+    """
+    x, y, theta = frame.tolist()
+    c, s = math.cos(theta), math.sin(theta)
+    u, v = c * x + s * y, c * y - s * x
+    (ox, oy), (ex, ey) = origins.T, ends.T
+    before, after = c * oy - s * ox - v, c * ey - s * ex - v
+    off, left = np.abs(before) > STAND_OFF, np.abs(after)
+    on_line = (off & (left < THICKNESS)).nonzero()[0]
+    through = (off & (left > BEYOND) & (before * after < 0.0)).nonzero()[0]
+    hits = _counts(c * ex[on_line] + s * ey[on_line] - u, width)
+    before, after = before[through], after[through]
+    ox, oy, ex, ey = ox[through], oy[through], ex[through], ey[through]
+    f = before / (before - after)
+    passes = _counts(c * (ox + f * (ex - ox)) + s * (oy + f * (ey - oy)) - u, width)
+    wall = BIN * ((hits >= 2) & (3 * passes <= hits)).sum(axis=1)
+    opened = BIN * ((passes >= 2) & (passes > hits)).sum(axis=1)
+    return wall, opened
+
+
+def _counts(along: Array, width: float) -> Index:
+    """How many of these places (n,) along the line are in each bin beside the jambs, (2, BINS)."""
+    bins = (np.abs(along) - 0.5 * width) / BIN
+    inside = ((bins >= 0.0) & (bins < BINS)).nonzero()[0]
+    at = bins[inside].astype(np.int64) + BINS * (along[inside] > 0.0)
+    return np.bincount(at, minlength=2 * BINS).reshape(2, BINS)

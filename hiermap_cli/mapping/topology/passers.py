@@ -1,0 +1,127 @@
+"""Ends of beams that were on people: what another scan has seen through does not persist.
+
+A robot among people has ends of beams all about its path. What is no wall is gone some steps
+later, or was not there before: a scan from nearby has then seen through the place. Corners and
+jambs are hidden or seen past at a hair's breadth; only where all beams about go past it, well
+beyond, was nothing there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hiermap_cli.geometry import se2
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from hiermap_cli.mapping.topology.near_ends import NearEnds
+
+    Array = NDArray[np.float64]
+    Mask = NDArray[np.bool_]
+
+SCANS = 2  # before this one, that are compared with it
+BEYOND = 0.3  # metres that beams go on behind a place that is free
+APART = 0.3  # radians: the widest gap between beams that tell what lies between them
+OVER = 0.22  # metres from the path: what stands there is in the robot's way
+ABOUT = 8  # beams that must all go past
+
+
+class Look(NamedTuple):
+    """A scan: the laser's place (2,), bearings (n,) of its beams, as they grow, less `heading`.
+
+    least: (n - 7,) the shortest of eight beams in a row. gap: (n - 7,) radians that they span.
+    points: (m, 2) the ends of beams that are compared, and `at`: where they lie in `NearEnds`.
+    """
+
+    origin: Array
+    heading: float
+    bearing: Array
+    least: Array
+    gap: Array
+    points: Array
+    at: int
+
+
+def looked(origin: Array, ends: Array, points: Array, at: int = 0) -> Look:
+    """A scan with its ends (n, 2), some of which are `points`, in one frame."""
+    d = ends - origin
+    bearing = np.arctan2(d[:, 1], d[:, 0])
+    order = bearing.argsort()
+    bearing = bearing[order]
+    r = np.hypot(d[:, 0], d[:, 1])[order]
+    least, gap = r[:0], r[:0]
+    if len(r) >= ABOUT:
+        two = np.minimum(r[1:], r[:-1])
+        four = np.minimum(two[2:], two[:-2])
+        least = np.minimum(four[4:], four[:-4])
+        gap = bearing[ABOUT - 1 :] - bearing[: 1 - ABOUT]
+    return Look(origin, 0.0, bearing, least, gap, points, at)
+
+
+def seen_through(look: Look, points: Array) -> Mask:
+    """Which of the points (m, 2) the scan has looked through, with all beams about them.
+
+    Nothing is told of the few beams about where bearings begin anew.
+    """
+    x, y = points[:, 0] - look.origin[0], points[:, 1] - look.origin[1]
+    if not len(look.least):
+        return np.zeros(len(points), dtype=bool)
+    bearing = np.arctan2(y, x)
+    if look.heading:
+        bearing = se2.wrap(bearing - look.heading)
+    i = look.bearing.searchsorted(bearing) - ABOUT // 2
+    inside = (i >= 0) & (i < len(look.least))
+    i = i.clip(0, len(look.least) - 1)
+    far = look.least[i] - BEYOND
+    return np.asarray(inside & (look.gap[i] < APART) & (far > 0.0) & (far * far > x * x + y * y))
+
+
+def gone_over(points: Array, path: Sequence[Array]) -> Mask:
+    """Which of the points (n, 2) are so near the path's poses that the robot went over them."""
+    far = points[:, None] - np.array(path)[:, :2]
+    return np.asarray(((far * far).sum(axis=2) < OVER * OVER).any(axis=1))
+
+
+@dataclass(slots=True)
+class Passers:
+    """Compares each scan with the last ones before it, both ways."""
+
+    _looks: list[Look] = field(default_factory=list)
+
+    def persisting(self, origin: Array, ends: Array, points: Array, near: NearEnds) -> Array:
+        """Those of a scan's `points` that no scan before has seen through.
+
+        Points of the scans before, told to `near` at last, that are now seen through are taken
+        out of it. Of scans that told none, none is asked.
+        """
+        now = looked(origin, ends, points, near.position())
+        gone = np.zeros(len(points), dtype=bool)
+        for look in self._looks:
+            gone |= seen_through(look, points)
+            passed = seen_through(now, look.points)
+            if passed.any():
+                near.blank(look.at, passed)
+        if gone.any():
+            points = points[~gone]
+        self._looks = [*self._looks, now._replace(points=points)][-SCANS:]
+        return points
+
+    def forget(self) -> None:
+        """The scans before are told no more."""
+        self._looks = []
+
+    def move(self, R_b_a: Array) -> None:
+        """Into another frame, from which the present one is seen as `R_b_a` (3,)."""
+        turn = se2.rotation(R_b_a[2]).T
+        moved = []
+        for look in self._looks:
+            origin, points = R_b_a[:2] + look.origin @ turn, R_b_a[:2] + look.points @ turn
+            heading = look.heading + float(R_b_a[2])
+            moved.append(look._replace(origin=origin, points=points, heading=heading))
+        self._looks = moved
