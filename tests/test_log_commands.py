@@ -223,6 +223,17 @@ def test_convert_refuses_a_target_that_cannot_be(tmp_path, target):
     assert result.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize("name", ["part.txt", "part", "part.mcap.gz", ".mcap"])
+def test_convert_writes_an_mcap_under_no_other_ending(tmp_path, name):
+    (path,) = cases.FORMATS["carmen"](tmp_path)
+    result = hiermap("convert", path, "-o", tmp_path / name, "--force")
+    assert result.exit_code == 2
+    assert "name that ends in .mcap" in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / name).exists()
+    assert hiermap("convert", path, "-o", tmp_path / "PART.MCAP").exit_code == 0
+
+
 def test_convert_of_nothing_leaves_nothing(tmp_path):
     (path,) = cases.FORMATS["mcap zstd"](tmp_path)
     result = hiermap("convert", path, "-o", tmp_path / "x.mcap", "--start", 500)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     from hiermap_cli.logs.recording import InputReport, Recording
 
+ENDING = ".mcap"
+
 _EVERY = 256  # scans between reports of progress
 
 
@@ -37,6 +39,8 @@ def check_target(target: Path, *, overwrite: bool) -> None:
     """Whether `target` may be written, asked before the work. Raises UsageError."""
     if target.is_dir():
         raise UsageError(f"{target}: is a folder; name a file")
+    if target.suffix.lower() != ENDING:
+        raise UsageError(f"{target}: not written; an MCAP wants a name that ends in {ENDING}")
     if target.exists() and not overwrite:
         raise UsageError(f"{target}: exists already; --force replaces it")
     if not target.parent.is_dir():
