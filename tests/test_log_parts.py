@@ -8,9 +8,11 @@ import sqlite3
 import log_cases as cases
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
+from hiermap_cli.commands.main import cli
 from hiermap_cli.config import InputConfig
 from hiermap_cli.errors import InputError
 from hiermap_cli.logs.recording import open_recording
@@ -139,3 +141,128 @@ def test_a_name_without_an_ending_does_not_matter(tmp_path):
         (path,) = cases.FORMATS[kind](folder)
         plain = path.rename(folder / "recording")
         assert len(list(open_recording([plain], InputConfig()).blocks())) == 1
+
+
+# ------------------------------------------------------------- parts that overlap in time
+
+
+def recorded(message, kind, topic, log_ns):
+    return topic, kind, log_ns, bytes(cases.STORE2.serialize_cdr(message, kind))
+
+
+def odometry(shift):
+    """The readings of a robot that drives elsewhere."""
+    for stamp_ns in cases.odometry_stamps():
+        at = tuple(a + b for a, b in zip(cases.pose(stamp_ns), shift, strict=True))
+        message = cases.odometry_message(cases.STORE2, stamp_ns, at)
+        yield recorded(message, "nav_msgs/msg/Odometry", "/odom", stamp_ns)
+
+
+def scans(frame="laser", step=1.0):
+    for index, stamp_ns in enumerate(cases.stamps()):
+        message = cases.scan_message(cases.STORE2, stamp_ns, index)
+        message.header.frame_id = frame
+        message.angle_increment *= step
+        yield recorded(message, "sensor_msgs/msg/LaserScan", "/scan", stamp_ns + 1)
+
+
+def mounted(x):
+    edge = ("base", "laser", (x, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    message = cases.tf_message(cases.STORE2, cases.START, (edge,))
+    return recorded(message, "tf2_msgs/msg/TFMessage", "/tf_static", cases.START)
+
+
+def late(messages, by_ns):
+    return [(topic, kind, log_ns + by_ns, data) for topic, kind, log_ns, data in messages]
+
+
+OTHERS = {
+    "metres away": (list(odometry((0.5, 0.0, 0.0))), "odometry is at"),
+    "turned": (list(odometry((0.0, 0.0, 0.3))), "odometry is at"),
+    "metres away, later": (late(odometry((0.5, 0.0, 0.0)), 40_000_000), "odometry is at"),
+    "another frame": (list(scans("rear_laser")), "of the frames laser and rear_laser"),
+    "other beams": (list(scans(step=0.5)), "180 beams from -90 degrees and 180 beams"),
+    "another mount": ([mounted(0.4), *scans()], "mounted at 0.40,0.00,0.00 and 0.25,0.00,0.00"),
+}
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_logs_that_overlap_and_contradict_each_other_are_no_recording(tmp_path, kind):
+    messages, fault = OTHERS[kind]
+    # One drive's own log, and one that begins before it has ended.
+    first, second = write(tmp_path / "a.mcap", MESSAGES), write(tmp_path / "b.mcap", messages)
+    for words in (["run", "-o", str(tmp_path / "out")], ["inspect"]):
+        result = CliRunner().invoke(cli, [*words, str(first), str(second)])
+        assert result.exit_code == 1
+        assert fault in result.stderr
+        assert all(str(path) in result.stderr for path in (first, second))
+        assert "overlap in time and are no parts of one recording" in result.stderr
+        assert len(result.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match="no parts of one recording"):
+        open_recording([second, first], InputConfig())
+
+
+def test_a_mount_that_is_given_settles_what_the_parts_say(tmp_path):
+    first = write(tmp_path / "a.mcap", MESSAGES)
+    second = write(tmp_path / "b.mcap", OTHERS["another mount"][0])
+    options = InputConfig.model_validate({"mount": {"x": 0.3}})
+    assert open_recording([first, second], options).mount.x == 0.3
+
+
+HALF = len(MESSAGES) // 2
+TOGETHER = {
+    "a few messages twice": (MESSAGES[: HALF + 6], MESSAGES[HALF - 6 :]),
+    "everything twice": (MESSAGES, MESSAGES),
+    "part of it once more": (MESSAGES, MESSAGES[HALF : HALF + 9]),
+    "two recorders": (MESSAGES[::2], [MESSAGES[0], *late(MESSAGES[1::2], 30_000_000)]),
+    "two recorders, one with gaps": (MESSAGES, late(MESSAGES[2::5], 30_000_000)),
+    "other readings of one clock": (MESSAGES[1::2], MESSAGES[2::2]),
+}
+
+
+@pytest.mark.parametrize("kind", TOGETHER)
+def test_parts_that_overlap_and_agree_are_one_recording(tmp_path, kind):
+    paths = [write(tmp_path / f"p{i}.mcap", part) for i, part in enumerate(TOGETHER[kind])]
+    recording = open_recording(paths, InputConfig())
+    found = list(recording.blocks())
+    stamps = np.concatenate([block.stamps_ns for block in found])
+    assert sorted(set(stamps.tolist())) == cases.stamps()
+
+
+def shifted(text, by):
+    """A CARMEN log of a robot that drives elsewhere."""
+    lines = [line.split(" ") for line in text.splitlines()]
+    for words in lines:
+        if words[0] == "ODOM":
+            words[1] = f"{float(words[1]) + by:.6f}"
+        elif words[0] == "FLASER":
+            words[182] = words[185] = f"{float(words[185]) + by:.6f}"
+    return "\n".join([" ".join(words) for words in lines])
+
+
+def test_carmen_logs_that_overlap_and_contradict_each_other_are_no_recording(tmp_path):
+    text = cases.carmen_text()
+    lines = text.splitlines(keepends=True)
+    middle = len(lines) // 2
+    logs = {
+        "whole": text,
+        "elsewhere": shifted(text, 1.0),
+        "first": "".join(lines[: middle + 5]),
+        "second": "".join(lines[middle - 5 :]),
+    }
+    paths = {name: tmp_path / f"{name}.log" for name in logs}
+    for name, path in paths.items():
+        path.write_text(logs[name])
+    with pytest.raises(InputError, match="odometry is at"):
+        open_recording([paths["whole"], paths["elsewhere"]], InputConfig())
+    for parts in (("first", "second"), ("whole", "second")):
+        recording = open_recording([paths[name] for name in parts], InputConfig())
+        assert sum(len(block) for block in recording.blocks()) >= cases.SCANS
+
+
+def test_single_readings_that_lie_part_no_recording(tmp_path):
+    wrong = list(odometry((50.0, 0.0, 0.0)))[20:22]
+    others = [m for m in MESSAGES if m[2] not in {log_ns + 3_000_000 for _, _, log_ns, _ in wrong}]
+    paths = [write(tmp_path / "a.mcap", MESSAGES), write(tmp_path / "b.mcap", [*others, *wrong])]
+    assert len(list(open_recording(paths, InputConfig()).blocks())) == 1

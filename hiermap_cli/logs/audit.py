@@ -11,9 +11,8 @@ from hiermap_cli.logs import records as kinds
 from hiermap_cli.logs.decimals import ns_to_seconds
 from hiermap_cli.logs.detect import open_source
 from hiermap_cli.logs.gaps import Intervals
-from hiermap_cli.logs.recording import InputReport, Recording, log_name, sha256_of
+from hiermap_cli.logs.recording import InputReport, Recording, log_name, planned, sha256_of
 from hiermap_cli.logs.records import Odometry, Record, Scan, Transform
-from hiermap_cli.logs.survey import make_plan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -108,7 +107,7 @@ def audit(paths: Sequence[Path], options: InputConfig) -> AuditReport:
     topics, lost = _topics(source)
     use, fault, warnings = None, None, tuple[str, ...]()
     try:
-        recording = Recording(source, log, make_plan(source, log, options), options)
+        recording = planned(source, log, options)
         warnings = recording.plan.warnings
         for _ in recording.blocks():
             pass

@@ -31,6 +31,7 @@ from hiermap_cli.logs.carmen_laser import (
 from hiermap_cli.logs.ranges import HEAD_SCANS, infer_range_max, translate
 from hiermap_cli.logs.raw import geometry
 from hiermap_cli.logs.records import Odometry, Record, Scan, Topic, Transform
+from hiermap_cli.logs.source import Part
 from hiermap_cli.logs.textfile import text_lines
 
 if TYPE_CHECKING:
@@ -102,6 +103,10 @@ class CarmenLog:
                     yield Record(topic, 0, None, "unknown record")
                 elif _is_wanted(name, wanted):
                     yield from self._records(name, line, read.get(place), params, told)
+
+    def parts(self) -> list[Part]:
+        """The files; their times are in their lines only."""
+        return [Part(CarmenLog([path]), None) for path in self.paths]
 
     def _records(
         self,

@@ -56,11 +56,15 @@ def choose_clock(head: Sequence[tuple[int, int]]) -> Clock:
 
 
 def _usable(stamps: Sequence[int]) -> bool:
-    """At least half of the steps go forward; one stamp alone is usable unless it is zero."""
+    """More steps go forward than back, and a third of all: messages that are there twice repeat.
+
+    One stamp alone is usable unless it is zero.
+    """
     if len(stamps) < 2:
         return bool(stamps) and stamps[0] != 0
     forward = sum(b > a for a, b in pairwise(stamps))
-    return 2 * forward >= len(stamps) - 1
+    back = sum(b < a for a, b in pairwise(stamps))
+    return forward >= back and 3 * forward >= len(stamps) - 1
 
 
 def settle(records: Iterable[Record], clock: Clock, counts: Counter[str]) -> Iterator[Timed]:

@@ -12,6 +12,7 @@ from hiermap_cli.logs.decoders import DECODE_ERRORS, Meaning, meaning
 from hiermap_cli.logs.ranges import HEAD_SCANS, float32, infer_range_max
 from hiermap_cli.logs.raw import RawScan, finish
 from hiermap_cli.logs.records import Record, Topic, Transform
+from hiermap_cli.logs.source import Part
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -75,6 +76,11 @@ class MessageLog:
             if announced is not None and choose(channel.topic) and read[channel] < announced:
                 missing = f"{announced - read[channel]} of {announced} messages"
                 self.losses.append(f"{channel.topic}: {missing} that the index counts are missing")
+
+    def parts(self) -> list[Part]:
+        """The containers, with their log times."""
+        containers = self._containers
+        return [Part(MessageLog(self.format, [c]), c.span()) for c in containers]
 
     def _kind(self, channel: Channel) -> str:
         found = self._meaning(channel)

@@ -52,13 +52,21 @@ class InputReport:
 def open_recording(paths: Sequence[Path], options: InputConfig) -> Recording:
     """Opens a log: one file, a folder, or the parts of a split recording.
 
-    Raises InputError where it cannot be read, has no scans or no odometry, or more than one
-    topic fits.
+    Raises InputError where it cannot be read, has no scans or no odometry, more than one topic
+    fits, or files that overlap in time contradict each other.
     """
     paths = [Path(path) for path in paths]
-    source = open_source(paths)
-    log = log_name(paths)
-    return Recording(source, log, make_plan(source, log, options), options)
+    return planned(open_source(paths), log_name(paths), options)
+
+
+def planned(source: Source, log: str, options: InputConfig) -> Recording:
+    """A source with the plan by which it is read. Raises InputError as `open_recording` does."""
+    plan = make_plan(source, log, options)
+    if len(source.paths) > 1:
+        from hiermap_cli.logs.parts import check_parts
+
+        check_parts(source, plan)
+    return Recording(source, log, plan, options)
 
 
 def log_name(paths: Sequence[Path]) -> str:

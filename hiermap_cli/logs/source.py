@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from hiermap_cli.logs.records import Record, Topic, Transform
+
+
+class Part(NamedTuple):
+    """One file of a recording as a source of its own.
+
+    `span` has the log times of its first and last message, (0, 0) where there are none or a
+    damaged file does not say them; None where only reading tells.
+    """
+
+    source: Source
+    span: tuple[int, int] | None
 
 
 class Source(Protocol):
@@ -35,4 +46,8 @@ class Source(Protocol):
 
         Raises InputError where the recording cannot be read at all.
         """
+        ...
+
+    def parts(self) -> list[Part]:
+        """The recording's files, each by itself."""
         ...

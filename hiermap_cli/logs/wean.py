@@ -16,6 +16,7 @@ from hiermap_cli.logs import records as kinds
 from hiermap_cli.logs.decimals import seconds_to_ns
 from hiermap_cli.logs.ranges import SICK_FIRST_CODE, float32, translate
 from hiermap_cli.logs.records import LaserGeometry, Odometry, Record, Scan, Topic, Transform
+from hiermap_cli.logs.source import Part
 from hiermap_cli.logs.textfile import text_lines
 
 if TYPE_CHECKING:
@@ -78,6 +79,10 @@ class WeanLog:
                     yield Record(topic, values[0].stamp_ns, mount)
                 for value in values:
                     yield Record(topic, value.stamp_ns, value)
+
+    def parts(self) -> list[Part]:
+        """The files; their times are in their lines only."""
+        return [Part(WeanLog([path]), None) for path in self.paths]
 
 
 def _shape(fields: list[bytes]) -> tuple[int, int]:
