@@ -5,18 +5,17 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hiermap_cli.batch.batch import View
 from hiermap_cli.batch.quantities import bytes_text, seconds_text
 from hiermap_cli.commands.boundary import one_line
+from hiermap_cli.commands.closing import Closing
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from types import TracebackType
 
     from rich.progress import Progress, TaskID
 
@@ -25,22 +24,8 @@ if TYPE_CHECKING:
     from hiermap_cli.batch.worker_process import Event
 
 
-class BatchView(View, AbstractContextManager["BatchView"]):
+class BatchView(Closing, View):
     """A view that can be closed, and that shows the end; by itself it says nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Takes away what moves; said again without harm."""
 
     def ended(self, tally: Tally) -> None:
         """All jobs have ended and the reports are written."""

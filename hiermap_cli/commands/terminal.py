@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 import sys
 import time
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import click
 
 from hiermap_cli.batch.run_log import Observer
 from hiermap_cli.commands.boundary import one_line
+from hiermap_cli.commands.closing import Closing
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from rich.console import Console
     from rich.progress import Progress
 
@@ -23,22 +22,8 @@ if TYPE_CHECKING:
 _LINE_EVERY = 10.0  # seconds between progress lines where there is no terminal
 
 
-class Display(Observer):
+class Display(Closing, Observer):
     """An observer that can be closed, and that shows the outcome at the end."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Takes away what moves; said again without harm."""
 
     def finish(self, outcome: RunOutcome) -> None:
         """Shows the summary."""
