@@ -12,6 +12,8 @@ from hiermap_cli.mapping.areas.joining import join
 from hiermap_cli.mapping.areas.rejoin import joined_area
 from hiermap_cli.mapping.levels import change_frame
 from hiermap_cli.mapping.portals import anchor_index
+from hiermap_cli.mapping.refinement.rebuild import sightings
+from hiermap_cli.perception.segments import END_OPEN, END_VERTEX
 
 LEAST = 2
 
@@ -125,3 +127,24 @@ def test_the_covariance_is_that_of_the_whole_and_not_of_independent_parts(case):
             exact.append(np.trace(one.map.V.pose_covariance(i)))
             loose.append(np.trace(by_parts.map.V.pose_covariance(j)))
     assert sum(exact) < 1.001 * sum(loose)
+
+
+def test_a_grazing_sight_makes_no_wall_longer(case):
+    """An end that lies anywhere within four metres, as where beams graze the wall, is not reach."""
+    _, refined, keyscans = case
+    state, matched, s = refined.solution.state, refined.matched, keyscans.segments
+    hit = s._replace(end_kind=np.full_like(s.end_kind, END_OPEN))
+    ends, kind, sigma = s.ends.copy(), hit.end_kind.copy(), s.end_sigma.copy()
+    ends[:, 1] += 2.0 * np.column_stack((np.cos(s.theta), np.sin(s.theta)))
+    kind[:, 1], sigma[:, 1] = END_VERTEX, 4.0 / np.sqrt(12.0)
+    grazing = s._replace(
+        ends=ends, end_kind=kind, end_sigma=sigma, length=np.maximum(s.length, 4.0)
+    )
+    reach, again = (
+        sightings(0, keyscans._replace(segments=of), state, matched, 0, LEAST)
+        for of in (hit, grazing)
+    )
+    assert len(reach.walls) > 5
+    np.testing.assert_array_equal(again.lo, reach.lo)
+    # The segment and its wall differ in direction by their noise.
+    np.testing.assert_allclose(again.hi, reach.hi, rtol=0, atol=0.02)

@@ -17,6 +17,7 @@ from hiermap_cli.estimation.stochastic_map import StochasticMap
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import ANCHOR, END, WALL, AreaMap, Features
 from hiermap_cli.mapping.refinement.problem import layout
+from hiermap_cli.perception.segments import END_OPEN
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -167,6 +168,10 @@ def sightings(
     ends = [se2.compose(X, np.column_stack((s.ends[segment, i], X[:, 2])))[:, :2] for i in (0, 1)]
     t = np.column_stack((np.cos(W[:, 2]), np.sin(W[:, 2])))
     along = [np.einsum("ni,ni->n", t, point - W[:, :2]) for point in ends]
+    # Beams that graze a wall leave its end open by metres: it reaches as far as it was hit.
+    short = np.sqrt(3.0) * np.where(s.end_kind != END_OPEN, s.end_sigma, 0.0)[segment]
+    short = np.minimum(short, 0.5 * s.length[segment, None])
+    along = [along[0] + short[:, 0], along[1] - short[:, 1]]
     lo, hi = np.full(len(walls), np.inf), np.full(len(walls), -np.inf)
     np.minimum.at(lo, k, along[0])
     np.maximum.at(hi, k, along[1])
