@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import log_cases as cases
 import numpy as np
@@ -14,9 +15,10 @@ from hiermap_cli.config import InputConfig
 from hiermap_cli.geometry.se2 import between, compose
 from hiermap_cli.logs.audit import audit
 from hiermap_cli.logs.clock_check import ClockCheck
+from hiermap_cli.logs.mcap_writer import RosMcapWriter
 from hiermap_cli.logs.odometry_check import OdometryCheck
 from hiermap_cli.logs.recording import open_recording
-from hiermap_cli.logs.records import Mount
+from hiermap_cli.logs.records import Mount, Odometry
 
 SECOND = room.SECOND
 
@@ -50,6 +52,38 @@ def test_a_mirrored_laser_shows_in_the_turns(tmp_path):
 def test_a_rear_laser_shows_when_driving(tmp_path):
     path = room.write(tmp_path / "x.mcap", real=Mount(yaw=math.pi))
     assert any("seems to look to the rear" in text for text in warnings(path))
+
+
+def arcs(step):
+    """Poses (N, 3) of a robot that never turns on the spot: bends one way and the other."""
+    poses = [np.array([2.5, 1.5, 0.1])]
+    for i in range(120):
+        turn = step * (0.9 if (i * step) % 1.4 < 0.9 else -0.5)
+        poses.append(compose(poses[-1], np.array([step * math.cos(0.5 * turn), 0.0, turn])))
+        if not inside(poses[-1]):
+            poses[-1] = poses[-2] + np.array([0.0, 0.0, 0.3])
+    return np.array(poses)
+
+
+def inside(pose):
+    return 1.0 < pose[0] < 5.5 and 0.8 < pose[1] < 4.2
+
+
+@pytest.mark.parametrize("step", [0.1, 0.7])
+@pytest.mark.parametrize(
+    ("real", "parts"),
+    [
+        (Mount(), []),
+        (Mount(flipped=True), ["seems mirrored"]),
+        (Mount(yaw=math.pi), ["to the rear"]),
+        (Mount(yaw=math.pi, flipped=True), ["seems mirrored", "to the rear"]),
+    ],
+)
+def test_a_wrong_mount_shows_in_bends_and_in_scans_far_apart(tmp_path, step, real, parts):
+    found = warnings(room.write(tmp_path / "x.mcap", real=real, poses=arcs(step)))
+    said = [text for text in found if "wrong way" in text]
+    assert len(said) == len(parts)
+    assert all(part in text for part, text in zip(parts, said, strict=True))
 
 
 def unsigned(poses):
@@ -190,6 +224,31 @@ def test_the_known_faults_of_real_logs_are_said_and_no_others(log, parts):
         assert any(part in text for text in found), part
     if log == "fr079":
         assert len(found) == 1
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the real logs are not here")
+@pytest.mark.parametrize(
+    "log",
+    ["fr079/log.carmen.gz", "csail/log.carmen.gz", "aces/log.carmen.gz", "wean/robotdata1.log.gz"],
+)
+@pytest.mark.parametrize(
+    ("mirrored", "yaw", "part"),
+    [(True, 0.0, "seems mirrored"), (False, math.pi, "seems to look to the rear")],
+)
+def test_real_logs_with_a_wrong_mount_are_said(tmp_path, log, mirrored, yaw, part):
+    recording = open_recording([DATA / log], InputConfig())
+    stated = replace(recording.mount, yaw=recording.mount.yaw + yaw)
+    with RosMcapWriter(tmp_path / "x.mcap", stated) as writer:
+        for timed in recording.ordered():
+            value = timed.value
+            if isinstance(value, Odometry):
+                writer.odometry(timed.time_ns, (value.x, value.y, value.theta))
+            else:
+                ranges = value.ranges[::-1] if mirrored else value.ranges
+                writer.scan(timed.time_ns, ranges, value.laser)
+    said = [text for text in warnings(tmp_path / "x.mcap") if "wrong way" in text]
+    assert len(said) == 1
+    assert part in said[0]
 
 
 def test_inspect_says_what_run_says(tmp_path):

@@ -7,11 +7,13 @@ the rear without the log saying so, or meet an odometry whose sign is lost.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.geometry.se2 import between
+from hiermap_cli.geometry.points import h
+from hiermap_cli.geometry.se2 import between, compose, invert
 from hiermap_cli.logs.decimals import ns_to_seconds
 from hiermap_cli.logs.gaps import Intervals
 
@@ -25,10 +27,14 @@ if TYPE_CHECKING:
 _PAIRS = 12  # pairs of scans of each kind that are looked at in a block
 _TURNS = (0.05, 0.5)  # radians between two scans that show which way the scans turn
 _DRIVES = (0.04, 0.6)  # metres between two scans that show which way the scans move
-_STILL = 0.02  # metres, or radians, that do not disturb the other test
+_BENDS = 0.08  # metres that tell forward from backward in bends, and where scans are far apart
+_FAR = 1.5  # metres beyond which two scans have too little in common
+_STILL = 0.02  # radians that do not disturb the test of driving
 _NEAR = 15.0  # metres; farther returns are cut to it in comparisons
 _AHEAD = 0.35  # radians on either side of straight ahead
+_CLEAR = 0.6  # of the worse fit, at most, where one is better
 _VOTES = 8  # pairs that must speak before anything is said
+_ENOUGH = 60  # votes after which no more pairs are asked: a mount stays as it is
 _MOST = 0.8
 _CENTIMETRES = 40.0  # metres; a median range beyond is none
 
@@ -75,15 +81,15 @@ class ScanCheck:
         known = block.has_odometry[:-1] & block.has_odometry[1:]
         distance = np.hypot(motion[:, 0], motion[:, 1])
         turn = np.abs(motion[:, 2])
-        turning = known & (turn > _TURNS[0]) & (turn < _TURNS[1]) & (distance < _STILL)
+        turning = known & (turn > _TURNS[0]) & (turn < _TURNS[1]) & (distance < _FAR)
         driving = known & (distance > _DRIVES[0]) & (distance < _DRIVES[1]) & (turn < _STILL)
-        for i in _some(turning):
-            vote = turns_as_expected(
-                block.ranges[i], block.ranges[i + 1], float(motion[i, 2]), block.laser,
-                flipped=self._mount.flipped,
-            )  # fmt: skip
-            if vote is not None:
-                self._turn_votes[0 if vote else 1] += 1
+        bending = known & (distance > _BENDS) & (distance < _FAR) & (turn < _TURNS[1]) & ~driving
+        if sum(self._turn_votes) < _ENOUGH:
+            for i in _some(turning):
+                self._vote(self._turn_votes, fits(block, i, motion[i], self._mount).mirrored())
+        if sum(self._drive_votes) < _ENOUGH:
+            for i in _some(bending):
+                self._vote(self._drive_votes, fits(block, i, motion[i], self._mount).rearward())
         angles = beam_directions(block.laser, self._mount)
         ahead, behind = np.abs(_wrap(angles)) < _AHEAD, np.abs(_wrap(angles - np.pi)) < _AHEAD
         moved = np.flatnonzero(driving)
@@ -91,6 +97,11 @@ class ScanCheck:
             right, wrong = drive_votes(block.ranges, moved, motion[moved, 0], ahead, behind)
             self._drive_votes[0] += right
             self._drive_votes[1] += wrong
+
+    @staticmethod
+    def _vote(votes: list[int], wrong: bool | None) -> None:
+        if wrong is not None:
+            votes[wrong] += 1
 
     def median_range(self) -> float:
         """Metres; 0 where nothing was seen."""
@@ -141,30 +152,64 @@ def beam_directions(laser: LaserGeometry, mount: Mount) -> NDArray[np.float64]:
     return mount.yaw + (-laser.angles() if mount.flipped else laser.angles())
 
 
-def turns_as_expected(
-    before: Ranges, after: Ranges, turn: float, laser: LaserGeometry, *, flipped: bool
-) -> bool | None:
-    """Whether the scan turned as a robot does that turns by `turn` (radians); None if unclear."""
-    shift = round(turn / laser.angle_increment) * (-1 if flipped else 1)
-    if not 0 < abs(shift) < len(before) // 2:
-        return None
-    expected, contrary = _misfit(before, after, shift), _misfit(before, after, -shift)
-    if min(expected, contrary) > 0.6 * max(expected, contrary):
-        return None
-    return expected < contrary
+class Fits(NamedTuple):
+    """How a scan fits the one before it, by metres of difference, if the laser is mounted so.
+
+    As the log says; turned to the other side; mirrored; both.
+    """
+
+    stated: float
+    turned: float
+    flipped: float
+    both: float
+
+    def mirrored(self) -> bool | None:
+        """Whether the laser is mirrored, against what the log says; None if unclear."""
+        return _clearly(min(self.stated, self.turned), min(self.flipped, self.both))
+
+    def rearward(self) -> bool | None:
+        """Whether the laser looks the other way than the log says; None if unclear."""
+        return _clearly(min(self.stated, self.flipped), min(self.turned, self.both))
 
 
-def _misfit(before: Ranges, after: Ranges, shift: int) -> float:
-    """Median difference of `after[i]` and `before[i + shift]`, in metres."""
-    near_before, near_after = _clipped(before), _clipped(after)
-    if shift > 0:
-        near_before, near_after = near_before[shift:], near_after[:-shift]
-    else:
-        near_before, near_after = near_before[:shift], near_after[-shift:]
-    difference = np.abs(near_before - near_after)
+def _clearly(expected: float, contrary: float) -> bool | None:
+    if min(expected, contrary) > _CLEAR * max(expected, contrary):
+        return None
+    return contrary < expected
+
+
+def fits(block: ScanBlock, i: int, motion: NDArray[np.float64], mount: Mount) -> Fits:
+    """How scan i + 1 fits scan i and odometry's motion (3,) between the two."""
+    other = mount.yaw + np.pi
+    mounts = (
+        mount,
+        replace(mount, yaw=other),
+        replace(mount, flipped=not mount.flipped),
+        replace(mount, yaw=other, flipped=not mount.flipped),
+    )
+    return Fits(*(_misfit(block, i, motion, each) for each in mounts))
+
+
+def _misfit(block: ScanBlock, i: int, motion: NDArray[np.float64], mount: Mount) -> float:
+    """Mean difference of scan i + 1 to what scan i sees from there, each at most a metre."""
+    laser = block.laser
+    before = np.where(block.ranges[i] < _NEAR, block.ranges[i], np.nan).astype(np.float64)
+    R_r_s = mount.pose()
+    R_s0_s1 = compose(invert(R_r_s), compose(motion, R_r_s))
+    beams = beam_directions(laser, mount) - mount.yaw
+    points = np.stack((before * np.cos(beams), before * np.sin(beams)), axis=1)
+    seen = h(invert(R_s0_s1), points)
+    direction = np.arctan2(seen[:, 1], seen[:, 0]) * (-1.0 if mount.flipped else 1.0)
+    step = laser.angle_increment
+    beam = np.remainder((direction - laser.angle_min) * np.sign(step), 2.0 * np.pi) / abs(step)
+    with np.errstate(invalid="ignore"):  # nan, of a beam that says nothing, is not below
+        inside = beam < laser.beams - 0.5
+    after = _clipped(block.ranges[i + 1])[np.rint(beam[inside]).astype(np.int64)]
+    difference = np.abs(np.hypot(seen[inside, 0], seen[inside, 1]) - after)
     difference = difference[np.isfinite(difference)]
     # Where most beams agree either way, the tail tells the two apart.
-    return float(np.mean(np.minimum(difference, 1.0))) if len(difference) > 8 else np.inf
+    enough = len(difference) > max(8, laser.beams // 8)
+    return float(np.mean(np.minimum(difference, 1.0))) if enough else np.inf
 
 
 def _clipped(ranges: Ranges) -> Ranges:
