@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from hiermap_cli.estimation.constraint import Rows, jacobian
 from hiermap_cli.estimation.gaussian import Gain, gain
@@ -190,3 +191,10 @@ def whole_room(area: AreaMap, *, vertices: bool = False) -> SegmentView:
     kind = END_VERTEX if vertices else END_OPEN
     parts = [(i, float(f.lo[i]), float(f.hi[i])) for i in range(4)]
     return view_from(area, parts, [(kind, kind)] * 4)
+
+
+def additive_covariance(V: StochasticMap) -> Array:
+    """C(V) of the robot and the objects in additive coordinates, (3 + 3 n, 3 + 3 n)."""
+    keep = np.r_[0:3, V.first_object : len(V.covariance)]
+    D = block_diag(*(V.additive_D_error(pose) for pose in V.poses))
+    return np.asarray(D @ V.covariance[np.ix_(keep, keep)] @ D.T)

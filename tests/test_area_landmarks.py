@@ -4,7 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimation_cases import COORDINATES, derivative, moved, random_covariance, walls_area
+from estimation_cases import (
+    COORDINATES,
+    additive_covariance,
+    derivative,
+    moved,
+    random_covariance,
+    walls_area,
+)
 
 from hiermap_cli.config import LandmarkConfig
 from hiermap_cli.documents.checks import covariance_fault
@@ -277,7 +284,7 @@ def test_joined_areas_have_the_covariance_of_their_parts_errors(coordinates):
     J = derivative(poses, 2 * n)
     C = np.zeros((2 * n, 2 * n))
     C[:n, :n], C[n:, n:] = areas[0].V.covariance, areas[1].V.covariance
-    np.testing.assert_allclose(whole.map.V.additive_covariance(), J @ C @ J.T, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(additive_covariance(whole.map.V), J @ C @ J.T, rtol=1e-5, atol=1e-9)
     # The place that both know is one place.
     first, second = whole.map.V.poses[1 + np.flatnonzero(whole.map.features.kind == ANCHOR)]
     np.testing.assert_allclose(first, second, atol=1e-12)

@@ -49,17 +49,6 @@ def hesse(rng):
     return np.array([rng.uniform(-1.4, 1.4), rng.uniform(-5, 5)])
 
 
-def line(rng):
-    """A line in a chart that suits it, and the chart."""
-    return np.array([rng.uniform(-1, 1), rng.uniform(-5, 5)]), rng.integers(2)
-
-
-def moved_line(rng):
-    """Pose, line, its chart and a chart that suits the moved line."""
-    R_a_b, (S_b, type_b) = pose(rng), line(rng)
-    return R_a_b, S_b, type_b, lines.g_pq_chart(R_a_b, S_b, type_b)
-
-
 def hesse_in_chart(rng):
     S = hesse(rng)
     return S, lines.chart(S)
@@ -144,13 +133,6 @@ TABLE = [
         lambda e, S, kind: lines.hesse_to_pq(S + e, kind),
         2,
     ),
-    Entry(lines.pq_to_hesse_D_pq, line, lambda e, S, kind: lines.pq_to_hesse(S + e, kind), 2),
-    Entry(
-        lines.change_chart_D_pq,
-        lambda rng: (np.array([rng.choice([-1, 1]) * rng.uniform(0.4, 1), rng.uniform(-5, 5)]),),
-        lambda e, S: lines.change_chart(S + e),
-        2,
-    ),
     Entry(
         lines.g_hesse_D_pose,
         lambda rng: (pose(rng), hesse(rng)),
@@ -163,8 +145,6 @@ TABLE = [
         lambda e, R, S: lines.g_hesse(R, S + e),
         2,
     ),
-    Entry(lines.g_pq_D_pose, moved_line, lambda e, R, S, b, a: lines.g_pq(R + e, S, b, a), 3),
-    Entry(lines.g_pq_D_line, moved_line, lambda e, R, S, b, a: lines.g_pq(R, S + e, b, a), 2),
     Entry(lines.hesse_D_centred, centred, through_centre, 2),
     Entry(
         lines.intersect_D_lines,

@@ -87,21 +87,6 @@ class StochasticMap:
             return Ad
         return np.asarray(se2.additive_D_invariant(pose) @ Ad)
 
-    def additive_covariance(self) -> Array:
-        """C(V) of the robot and the objects, without the parameters, (3 + 3 n, 3 + 3 n).
-
-        Additive, as documents carry it.
-        """
-        keep = np.r_[0:3, self.first_object : len(self.covariance)]
-        P = self.covariance[np.ix_(keep, keep)]
-        if self.coordinates == "additive":
-            return np.asarray(P)
-        J = se2.additive_D_invariant(self.poses)
-        n = len(self.poses)
-        blocks = P.reshape(n, 3, n, 3).transpose(0, 2, 1, 3)
-        out = J[:, None] @ blocks @ J[None].transpose(0, 1, 3, 2)
-        return symmetrise(out.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n))
-
 
 _ONE = np.eye(3)
 _ONE.flags.writeable = False

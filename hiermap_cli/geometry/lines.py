@@ -1,4 +1,4 @@
-"""Straight lines of the plane: Hesse form, the paper's (p, q, type), and g that moves both.
+"""Straight lines of the plane: Hesse form, g that moves it, and the paper's (p, q, type).
 
 Two forms, both of two parameters, with the leading axes as batch axes:
 
@@ -7,7 +7,9 @@ Two forms, both of two parameters, with the leading axes as batch axes:
   (alpha + pi, -d) is the same line seen from the other side. It has no singularity.
 - The document's `(p, q)`, shape (..., 2), with a `line_type` of the leading axes' shape: type 0
   is x = p y + q, type 1 is y = p x + q (section 4). It is not oriented. p grows without bound
-  near the other axis, so that a line is kept in the chart with |p| <= 1.
+  near the other axis, so that a line is written in the chart with |p| <= 1.
+
+Lines are fitted, moved and fused in Hesse form; (p, q) is what goes out.
 
 A covariance goes with its line through the Jacobian: `C_out = J C J^T`. By sections 3 and 4
 `g(R_a_b, S_b)` is `S_a`; section 5.1 prints the pose's inverse in the other place. A line seen by
@@ -33,12 +35,6 @@ def _matrix(a: Array, b: Array, c: Array, d: Array) -> Array:
     """[[a, b], [c, d]] over broadcast leading axes, shape (..., 2, 2)."""
     a, b, c, d = np.broadcast_arrays(a, b, c, d)
     return np.stack((np.stack((a, b), axis=-1), np.stack((c, d), axis=-1)), axis=-2)
-
-
-def flip(hesse: Array) -> Array:
-    """The same line with its normal to the other side; its Jacobian is diag(1, -1)."""
-    hesse = np.asarray(hesse, dtype=float)
-    return np.stack((wrap(hesse[..., 0] + np.pi), -hesse[..., 1]), axis=-1)
 
 
 def hesse_from_points(p1: Array, p2: Array) -> Array:
@@ -76,43 +72,6 @@ def hesse_to_pq_D_hesse(hesse: Array, line_type: Types) -> Array:
     return _matrix(-turn, np.zeros_like(on), turn * across * hesse[..., 1], 1.0 / on)
 
 
-def pq_to_hesse(pq: Array, line_type: Types) -> Array:
-    """(alpha, d) of a line (p, q): its normal is the one with x > 0 (type 0) or y > 0 (type 1).
-
-    The charts carry no orientation: `flip` the result where the material is on the other side.
-    """
-    pq = np.asarray(pq, dtype=float)
-    p, q = pq[..., 0], pq[..., 1]
-    alpha = np.where(np.asarray(line_type) == 0, -np.arctan(p), 0.5 * np.pi + np.arctan(p))
-    return np.stack((alpha, q / np.sqrt(1.0 + p * p)), axis=-1)
-
-
-def pq_to_hesse_D_pq(pq: Array, line_type: Types) -> Array:
-    """d (alpha, d) / d (p, q), shape (..., 2, 2)."""
-    pq = np.asarray(pq, dtype=float)
-    p, q = pq[..., 0], pq[..., 1]
-    square = 1.0 + p * p
-    turn = np.where(np.asarray(line_type) == 0, -1.0, 1.0) / square
-    return _matrix(turn, np.zeros_like(p), -p * q / square**1.5, 1.0 / np.sqrt(square))
-
-
-def change_chart(pq: Array) -> Array:
-    """The line (p, q) in the other chart: (1 / p, -q / p), the same formula both ways.
-
-    p must not be zero: such a line has no form in the other chart.
-    """
-    pq = np.asarray(pq, dtype=float)
-    p, q = pq[..., 0], pq[..., 1]
-    return np.stack((1.0 / p, -q / p), axis=-1)
-
-
-def change_chart_D_pq(pq: Array) -> Array:
-    """d change_chart / d (p, q), shape (..., 2, 2)."""
-    pq = np.asarray(pq, dtype=float)
-    p, q = pq[..., 0], pq[..., 1]
-    return _matrix(-1.0 / (p * p), np.zeros_like(p), q / (p * p), -1.0 / p)
-
-
 def g_hesse(R_a_b: Array, S_b: Array) -> Array:
     """The paper's g in Hesse form: the line `S_a`, shape (..., 2), of `S_b` and `R_a_b`."""
     R_a_b, S_b = np.asarray(R_a_b, dtype=float), np.asarray(S_b, dtype=float)
@@ -142,34 +101,6 @@ def g_hesse_D_line(R_a_b: Array, S_b: Array) -> Array:
     """d g_hesse / d S_b, shape (..., 2, 2)."""
     c, _, lever = _lever(R_a_b, S_b)
     return _matrix(np.ones_like(c), np.zeros_like(c), lever, np.ones_like(c))
-
-
-def g_pq(R_a_b: Array, S_b: Array, type_b: Types, type_a: Types) -> Array:
-    """The paper's g in (p, q): `S_a` in chart `type_a`, shape (..., 2), of `S_b` in `type_b`.
-
-    `type_a = g_pq_chart(R_a_b, S_b, type_b)` keeps |p| <= 1; to be compared with another line it
-    must be that line's chart.
-    """
-    return hesse_to_pq(g_hesse(R_a_b, pq_to_hesse(S_b, type_b)), type_a)
-
-
-def g_pq_chart(R_a_b: Array, S_b: Array, type_b: Types) -> Types:
-    """The `line_type` in which the moved line has |p| <= 1, shape (...)."""
-    return chart(g_hesse(R_a_b, pq_to_hesse(S_b, type_b)))
-
-
-def g_pq_D_pose(R_a_b: Array, S_b: Array, type_b: Types, type_a: Types) -> Array:
-    """d g_pq / d R_a_b, shape (..., 2, 3)."""
-    hesse_b = pq_to_hesse(S_b, type_b)
-    out = hesse_to_pq_D_hesse(g_hesse(R_a_b, hesse_b), type_a)
-    return np.asarray(out @ g_hesse_D_pose(R_a_b, hesse_b))
-
-
-def g_pq_D_line(R_a_b: Array, S_b: Array, type_b: Types, type_a: Types) -> Array:
-    """d g_pq / d S_b, shape (..., 2, 2)."""
-    hesse_b = pq_to_hesse(S_b, type_b)
-    out = hesse_to_pq_D_hesse(g_hesse(R_a_b, hesse_b), type_a)
-    return np.asarray(out @ g_hesse_D_line(R_a_b, hesse_b) @ pq_to_hesse_D_pq(S_b, type_b))
 
 
 def hesse_D_centred(alpha: Array, centre: Array) -> Array:

@@ -45,7 +45,7 @@ class OdometryCheck:
         self.turned = 0.0
         self.jumps: list[Jump] = []
         self.jump_count = 0
-        self._forward = self._backward = self._moving = self._fast = 0
+        self._backward = self._moving = self._fast = 0
         self._sideways: list[float] = []
         self._side_count = 0
         self._clear = 0
@@ -85,7 +85,6 @@ class OdometryCheck:
         self._moving += int(moving.sum())
         self._fast += int((length > _FAST * seconds + _MOVED)[moving].sum())
         along = moving & (np.abs(ahead) > aside)
-        self._forward += int((ahead[along] > 0.0).sum())
         self._backward += int((ahead[along] < 0.0).sum())
         self._note_jumps(stamps_ns, seconds, length, turn)
         side = aside > _SIDE_JUMP[0] + _SIDE_JUMP[1] * seconds
