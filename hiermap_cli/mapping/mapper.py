@@ -25,9 +25,7 @@ from hiermap_cli.mapping.odometry.stretches import Stretches
 from hiermap_cli.mapping.topology.crossing import Crossings, Passing
 from hiermap_cli.mapping.topology.lost import moved, through_walls
 from hiermap_cli.mapping.trail import Trail
-from hiermap_cli.perception.segmentation import segment_block
-from hiermap_cli.perception.sight import sights
-from hiermap_cli.perception.views import measured, scan_views
+from hiermap_cli.perception.seen import SeenBlock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -61,13 +59,23 @@ class Counts:
 
 
 class Scan(NamedTuple):
-    """A scan as it comes: its stamp, the odometry (3,) then, and what it saw; ranges: (n,)."""
+    """A scan as it comes: its stamp, the odometry (3,) then, ranges (n,), and place in a block."""
 
     stamp_ns: int
     odometry: Array
-    view: SegmentView
-    sight: Sight
     ranges: Array
+    seen: SeenBlock
+    place: int
+
+    @property
+    def view(self) -> SegmentView:
+        """Its segments."""
+        return self.seen.view(self.place)
+
+    @property
+    def sight(self) -> Sight:
+        """The space that it tells of."""
+        return self.seen.sight(self.place)
 
 
 class Astray(NamedTuple):
@@ -111,15 +119,11 @@ class Mapper:
         self.stepper = Stepper(self.config, self.noise)
         self.driving = Driving(self.stepper, Stretches(self.events))
 
-    def take(self, block: ScanBlock) -> None:
-        """Segment a block of scans and filter them one by one."""
-        segments = segment_block(block, self.config.laser, self.config.segmentation)
-        features = self.config.filter.features
-        views = (measured(view, features) for view in scan_views(segments, len(block)))
-        seen = sights(block, self.config.laser)
-        for i, (view, sight) in enumerate(zip(views, seen, strict=True)):
-            now = Scan(int(block.stamps_ns[i]), block.odometry[i], view, sight, block.ranges[i])
-            self._scan(now)
+    def take(self, block: ScanBlock, seen: SeenBlock | None = None) -> None:
+        """Filter a block of scans one by one; `seen`: what is known of them already."""
+        seen = seen or SeenBlock(block, self.config)
+        for i, stamp_ns in enumerate(block.stamps_ns.tolist()):
+            self._scan(Scan(stamp_ns, block.odometry[i], block.ranges[i], seen, i))
 
     def _scan(self, now: Scan) -> None:
         self.stepper.noise = self.noise
@@ -349,12 +353,6 @@ class Mapper:
         self.events.append(Event(stamp_ns, kind, details))
 
 
-def laser_factor(block: ScanBlock, config: Config) -> float:
-    """The laser's variance over the configured one, by the residuals of a block's line fits."""
-    segments = segment_block(block, config.laser, config.segmentation)
-    return residual_factor(segments.chi2, segments.points - 2, config.noise)
-
-
 def run_filter(
     blocks: Iterable[ScanBlock], config: Config, progress: Callable[[int], None] | None = None
 ) -> tuple[Mapper, dict[str, float]]:
@@ -366,28 +364,32 @@ def run_filter(
     mapper = Mapper(
         config, noise=noise, noise_rate=config.noise.rate if config.noise.estimate else 0.0
     )
-    for block in chain(first, stream):
-        mapper.take(block)
+    for seen in chain(first, (SeenBlock(block, config) for block in stream)):
+        mapper.take(seen.block, seen)
         if progress is not None:
-            progress(len(block))
+            progress(len(seen.block))
     mapper.finish()
     return mapper, {"noise": learnt - started, "filter": time.process_time() - learnt}
 
 
-def learn_noise(stream: Iterator[ScanBlock], config: Config) -> tuple[list[ScanBlock], NoiseScale]:
+def learn_noise(stream: Iterator[ScanBlock], config: Config) -> tuple[list[SeenBlock], NoiseScale]:
     """The blocks at the log's beginning, and how large the noise is by a first run over them.
 
-    So that the first walls are not entered with a noise that later proves wrong.
+    So that the first walls are not entered with a noise that later proves wrong. The laser's is
+    told by the residuals of the first block's line fits.
     """
-    first: list[ScanBlock] = []
+    first: list[SeenBlock] = []
     if not config.noise.estimate or not config.noise.warm_up:
         return first, NoiseScale()
     scout = Mapper(config, noise_rate=config.noise.warm_up_rate)
     for block in stream:
+        seen = SeenBlock(block, config)
         if not first:
-            scout.noise = scout.noise._replace(laser=laser_factor(block, config))
-        first.append(block)
-        scout.take(block)
+            fits = seen.every()
+            laser = residual_factor(fits.chi2, fits.points - 2, config.noise)
+            scout.noise = scout.noise._replace(laser=laser)
+        first.append(seen)
+        scout.take(block, seen)
         if scout.counts.keys >= config.noise.warm_up or len(first) >= WARM_UP_BLOCKS:
             break
     return first, scout.noise
