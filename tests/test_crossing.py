@@ -44,8 +44,9 @@ def judged(simulation, result):
 def assert_as_in_the_plan(simulation, result):
     areas, doors, topology, _ = judged(simulation, result)
     assert len(areas.matches) == areas.asked == areas.found
-    assert doors.matched == doors.asked == doors.found
-    if doors.asked:
+    counts = doors.detections
+    assert counts.matched == counts.asked == counts.found
+    if counts.asked:
         assert topology.precision == topology.recall == 1.0
 
 
@@ -122,5 +123,5 @@ def test_a_real_floor_has_most_of_its_areas_and_doors():
     placed = place(result.model, fit.alignment)
     reference = read_reference(FR079 / "reference.json")
     assert len(area_metrics(placed, reference, NO_POSES).matches) >= 12
-    assert door_metrics(placed, reference).matched >= 12
+    assert door_metrics(placed, reference).detections.matched >= 12
     assert len(result.model.areas) <= 19

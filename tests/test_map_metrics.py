@@ -114,9 +114,10 @@ def test_a_door_half_a_metre_off_is_another_one() -> None:
         doors[0] = replace(doors[0], estimate=door_estimate(np.array([4.1, 1.45 + shift])))
         result = door_metrics(place(with_doors(model, tuple(doors)), R_t_g), REFERENCE)
         assert result is not None
-        assert result.matched == matched
+        assert result.detections.matched == matched
         if matched == 2:
-            assert result.rmse == pytest.approx(shift / np.sqrt(2))
+            values = {metric.name: metric.value for metric in result.metrics()}
+            assert values["door_rmse"] == pytest.approx(shift / np.sqrt(2))
 
 
 def shifted(reference: ReferenceMap, by: tuple[float, float]) -> ReferenceMap:

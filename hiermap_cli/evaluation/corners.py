@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.evaluation.matching import match_points
-from hiermap_cli.evaluation.measures import measured, ratio, rms
+from hiermap_cli.evaluation.measures import Detections
 from hiermap_cli.evaluation.visibility import ALL_AROUND, View, in_view, is_clear
 from hiermap_cli.evaluation.walls import segment_distances, solid_segments
-from hiermap_cli.mapping.model import Metric
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.documents.reference import ReferenceMap
     from hiermap_cli.evaluation.placed import PlacedModel
+    from hiermap_cli.mapping.model import Metric
 
     Array = NDArray[np.float64]
 
@@ -106,29 +106,20 @@ def wall_corners(reference: ReferenceMap) -> ReferenceCorners:
 
 
 class CornerMetrics(NamedTuple):
-    """Corners found; nan where there is nothing to divide by.
+    """Corners of the model against those of the reference.
 
     pairs: (matched, 2) of a corner of the model with a true one. true: (m, 2) corners of walls,
     then of furniture. missed: indices of those that were asked for and not found.
     """
 
-    precision: float
-    recall: float
-    rmse: float
-    found: int
-    asked: int
-    matched: int
+    detections: Detections
     pairs: NDArray[np.int64]
     true: Array
     missed: tuple[int, ...]
 
     def metrics(self) -> tuple[Metric, ...]:
         """The figures under the names of eval.json, those that could be measured."""
-        return measured(
-            Metric("corner_precision", "1", self.precision, self.found),
-            Metric("corner_recall", "1", self.recall, self.asked),
-            Metric("corner_rmse", "m", self.rmse, self.matched),
-        )
+        return self.detections.metrics("corner")
 
 
 def corner_metrics(
@@ -155,12 +146,12 @@ def corner_metrics(
     missed = np.setdiff1d(np.flatnonzero(asked), pairs[:, 1])
     error = model.corners.points[pairs[:, 0]] - true[pairs[:, 1]]
     return CornerMetrics(
-        precision=ratio(len(pairs), len(model.corners.points)),
-        recall=ratio(int(recalled.sum()), int(asked.sum())),
-        rmse=rms(np.hypot(error[:, 0], error[:, 1])),
-        found=len(model.corners.points),
-        asked=int(asked.sum()),
-        matched=len(pairs),
+        Detections(
+            found=len(model.corners.points),
+            asked=int(asked.sum()),
+            recalled=int(recalled.sum()),
+            errors=np.hypot(error[:, 0], error[:, 1]),
+        ),
         pairs=pairs,
         true=true,
         missed=tuple(missed.tolist()),

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.evaluation.matching import match_points
-from hiermap_cli.evaluation.measures import measured, ratio, rms
-from hiermap_cli.mapping.model import Metric
+from hiermap_cli.evaluation.measures import Detections
 
 if TYPE_CHECKING:
     from hiermap_cli.documents.reference import ReferenceMap
     from hiermap_cli.evaluation.placed import PlacedDoor, PlacedModel
+    from hiermap_cli.mapping.model import Metric
 
 DOOR_RADIUS = 0.5  # metres between the centres of doors
 
@@ -31,23 +31,14 @@ class DoorMetrics(NamedTuple):
     false: ids of the model's doors without a match; missed: those of the reference.
     """
 
-    precision: float
-    recall: float
-    rmse: float
-    found: int
-    asked: int
-    matched: int
+    detections: Detections
     matches: tuple[DoorMatch, ...]
     false: tuple[str, ...]
     missed: tuple[str, ...]
 
     def metrics(self) -> tuple[Metric, ...]:
         """The figures under the names of eval.json, those that could be measured."""
-        return measured(
-            Metric("door_precision", "1", self.precision, self.found),
-            Metric("door_recall", "1", self.recall, self.asked),
-            Metric("door_rmse", "m", self.rmse, self.matched),
-        )
+        return self.detections.metrics("door")
 
 
 def door_metrics(model: PlacedModel, reference: ReferenceMap) -> DoorMetrics | None:
@@ -67,12 +58,7 @@ def door_metrics(model: PlacedModel, reference: ReferenceMap) -> DoorMetrics | N
     )
     hit_model, hit_true = {m.model for m in matches}, {m.reference for m in matches}
     return DoorMetrics(
-        precision=ratio(len(pairs), len(centres)),
-        recall=ratio(len(pairs), len(true)),
-        rmse=rms(errors),
-        found=len(centres),
-        asked=len(true),
-        matched=len(pairs),
+        Detections(found=len(centres), asked=len(true), recalled=len(pairs), errors=errors),
         matches=matches,
         false=tuple(door.id for door in found if door.id not in hit_model),
         missed=tuple(door.id for door in asked if door.id not in hit_true),

@@ -3,16 +3,42 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from hiermap_cli.mapping.model import Metric
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hiermap_cli.mapping.model import Metric
-
     Array = NDArray[np.float64]
+
+
+class Detections(NamedTuple):
+    """Things of one kind that were found, against those that were asked for.
+
+    found, asked: how many. recalled: how many of those asked for were found. errors: (matched,)
+    metres between each thing found and what it truly is.
+    """
+
+    found: int
+    asked: int
+    recalled: int
+    errors: Array
+
+    @property
+    def matched(self) -> int:
+        """How many of the things found are there."""
+        return len(self.errors)
+
+    def metrics(self, kind: str) -> tuple[Metric, ...]:
+        """Precision, recall and error of `kind`, those that could be measured."""
+        return measured(
+            Metric(f"{kind}_precision", "1", ratio(self.matched, self.found), self.found),
+            Metric(f"{kind}_recall", "1", ratio(self.recalled, self.asked), self.asked),
+            Metric(f"{kind}_rmse", "m", rms(self.errors), self.matched),
+        )
 
 
 def ratio(part: float, whole: float) -> float:

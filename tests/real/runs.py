@@ -264,7 +264,8 @@ def _judge_map(
             "pairs": [[m.model, m.reference, round(m.iou, 3)] for m in areas.matches],
         }
     if doors is not None:
-        figures["doors_matched"] = {"matched": doors.matched, "asked": doors.asked}
+        counts = doors.detections
+        figures["doors_matched"] = {"matched": counts.matched, "asked": counts.asked}
 
 
 def _judge_consistency(
