@@ -1,16 +1,19 @@
 """What two maps have in common for a search that knows nothing of how they lie to each other.
 
 A reference, whatever it consists of, becomes a raster: how far each cell is from the nearest wall,
-and where it is free. A model becomes points: along its walls, and over the ground it calls free.
+which wall that is, and where it is free. A model becomes points: along its walls, and over the
+ground it calls free.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hiermap_cli.evaluation.areas import shape
+from hiermap_cli.evaluation.near_walls import distance_to, nearest_to
 from hiermap_cli.evaluation.walls import solid_segments
 
 if TYPE_CHECKING:
@@ -29,6 +32,8 @@ FREE_SPACING = 0.25  # metres between points of free ground
 BINS = 180  # of headings, over half a turn
 HEADINGS = 4  # of walls, over half a turn
 _SAME_WAY = np.radians(40.0)  # a wall that is turned by more is another one
+_NEAREST = 0.5  # metres to a wall that may draw a point to itself
+_FAR, _FAR_FACING = 3.0, 1.0  # metres to a wall at which it no longer matters how many
 _HAZE = 2  # cells between free ground and the face of a wall
 _SLOPE = 2.0  # cells over which walls are smoothed to tell their directions
 _INSIDE = 0.2  # metres that free ground keeps from the outline of a model's area
@@ -38,10 +43,12 @@ class Raster(NamedTuple):
     """A reference as cells; row is y, column x, both upwards.
 
     low: (2,) corner of cell [0, 0]. cell: metres. distance: (H, W) metres from a cell's centre to
-    the nearest wall. facing: (HEADINGS, H, W) the same to walls of about one direction each.
-    free: (H, W) known to be free; None where the reference does not say. bare: whether free ground
-    is known to hold no walls: where the outlines of areas stand for walls, furniture may be there.
-    faces: (K, 2) points on its walls, in pieces of equal length, and headings: (K,) there.
+    the nearest wall, infinite beyond 3 m. facing: (HEADINGS, H, W) the same to walls of about one
+    direction each, infinite beyond 1 m. free: (H, W) known to be free; None where the reference
+    does not say. bare: whether free ground is known to hold no walls: where the outlines of areas
+    stand for walls, furniture may be there. faces: (K, 2) points on its walls, in pieces of equal
+    length, and headings: (K,) there. nearest: (H, W) index of a face in the nearest cell that has
+    one, -1 where none lies within half a metre; None where faces of several walls may share a cell.
     """
 
     low: Array
@@ -52,6 +59,7 @@ class Raster(NamedTuple):
     bare: bool
     faces: Array
     headings: Array
+    nearest: NDArray[np.int64] | None
 
 
 class ModelPoints(NamedTuple):
@@ -82,15 +90,25 @@ def raster_of_reference(reference: ReferenceMap, cell: float = 0.1) -> Raster | 
         return None
     corners = np.concatenate((segments.reshape(-1, 2), *polygons))
     low, width, height = _frame(corners, cell)
+    # Walls at round coordinates lie inside cells: on their borders the last bit would decide which
+    # cell they are in.
+    low -= 0.25 * cell
     points, headings = along_segments(segments.reshape(-1, 2, 2), 0.5 * cell)
     free = None
     if polygons:
-        ground = shapely.union_all([shape(polygon) for polygon in polygons])
         x, y = low[0] + (np.arange(width) + 0.5) * cell, low[1] + (np.arange(height) + 0.5) * cell
-        shapely.prepare(ground)
-        free = shapely.contains_xy(ground, *np.meshgrid(x, y))
+        free = np.zeros((height, width), dtype=bool)
+        for polygon in polygons:
+            first, last = polygon.min(axis=0), polygon.max(axis=0)
+            rows = slice(*np.searchsorted(y, (first[1], last[1])))
+            columns = slice(*np.searchsorted(x, (first[0], last[0])))
+            ground = shape(polygon)
+            shapely.prepare(ground)
+            free[rows, columns] |= shapely.contains_xy(ground, *np.meshgrid(x[columns], y[rows]))
     bare = len(solid_segments(reference)) > 0
-    return _raster(low, cell, (height, width), points, headings, free, bare=bare)
+    raster = _raster(low, cell, (height, width), points, headings, free, bare=bare)
+    at, size = _cells_of(points, low, cell), (height, width)
+    return raster._replace(nearest=nearest_to(at, size, math.ceil(_NEAREST / cell)))
 
 
 def _frame(points: Array, cell: float) -> tuple[Array, int, int]:
@@ -111,20 +129,21 @@ def _raster(
     bare: bool,
 ) -> Raster:
     """A raster from points (n, 2) on walls and the walls' headings (n,) there."""
-    from scipy.ndimage import distance_transform_edt
-
-    column, row = ((points - low) / cell).astype(int).T
-    fields = []
-    for i in range(-1, HEADINGS):
-        turned = np.abs(np.remainder(headings - i * np.pi / HEADINGS + 0.5 * np.pi, np.pi))
-        chosen = np.abs(turned - 0.5 * np.pi) <= _SAME_WAY if i >= 0 else np.ones(len(row), bool)
-        empty = np.ones(size, dtype=bool)
-        empty[row[chosen], column[chosen]] = False
-        none = np.full(size, np.inf)
-        fields.append(distance_transform_edt(empty) * cell if chosen.any() else none)
+    at = _cells_of(points, low, cell)
+    distance = distance_to(at, size, cell, _FAR)
+    facing = np.empty((HEADINGS, *size))
+    for i in range(HEADINGS):
+        turned = np.remainder(headings - i * np.pi / HEADINGS + 0.5 * np.pi, np.pi)
+        chosen = np.abs(turned - 0.5 * np.pi) <= _SAME_WAY
+        facing[i] = distance_to(at[chosen], size, cell, _FAR_FACING)
     if free is not None:
-        free = free & (fields[0] > 0.0)
-    return Raster(low, cell, fields[0], np.array(fields[1:]), free, bare, points, headings)
+        free = free & (distance > 0.0)
+    return Raster(low, cell, distance, facing, free, bare, points, headings, None)
+
+
+def _cells_of(points: Array, low: Array, cell: float) -> NDArray[np.int64]:
+    """Row and column (n, 2) of points (n, 2)."""
+    return ((points - low) / cell).astype(np.int64)[:, ::-1]
 
 
 def raster_of_grid(grid: OccupancyGrid, cell: float = 0.1) -> Raster:
