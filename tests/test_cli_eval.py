@@ -18,10 +18,11 @@ from eval_cases import (
     write_run,
     write_truth,
 )
+from large_building import boxes, reference_of
 
 from hiermap_cli.commands.main import cli
 from hiermap_cli.documents.eval_file import read_eval
-from hiermap_cli.documents.reference import read_reference
+from hiermap_cli.documents.reference import ReferenceMap, read_reference
 from hiermap_cli.documents.validate import check_file
 
 
@@ -121,6 +122,43 @@ def test_the_picture_shows_what_is_off(place, tmp_path):
     assert 'class="d m"' in text
     assert ">D0<" in text
     assert done.stderr.count("missed edges") == 1
+
+
+def test_the_map_of_another_building_is_warned_of_however_quiet(place, tmp_path):
+    other = write_reference(tmp_path, reference_of(boxes(2, 6)), "other.json")
+    out, picture = tmp_path / "eval.json", tmp_path / "overlay.svg"
+    summary, junit = tmp_path / "summary.md", tmp_path / "junit.xml"
+    arguments = (
+        "eval", place / "run", "--reference", other, "-o", out, "--overlay", picture,
+        "--summary", summary, "--junit", junit, "-q",
+    )  # fmt: skip
+    done = run(*arguments)
+    assert done.exit_code == 0
+    nothing, not_drawn = done.stderr.splitlines()
+    assert nothing.startswith(f"warning: {other}: nothing was measured on this map: two places fit")
+    assert not_drawn == f"warning: {picture}: not drawn: the run was not put onto the reference map"
+    assert not picture.exists()
+    assert [f"warning: {one}" for one in read_eval(out).warnings] == [nothing]
+    assert not check_file(out).faults
+    assert "**Warning:**" in summary.read_text()
+    assert "nothing was measured on this map" in junit.read_text()
+    assert run(*arguments, "--limit", "door_recall>=0.1").exit_code == 3
+
+
+def test_a_reference_that_holds_nothing_is_warned_of(place, tmp_path):
+    empty = write_reference(tmp_path, ReferenceMap(), "empty.json")
+    arguments = ("eval", place / "run", "--reference", empty, "-o", tmp_path / "e.json", "-q")
+    done = run(*arguments, "--trajectory", place / "truth.tum")
+    assert done.exit_code == 0
+    nothing = f"warning: {empty}: nothing was measured on this map: "
+    assert done.stderr == f"{nothing}it has nothing to measure\n"
+    done = run(*arguments)
+    assert done.stderr.startswith(f"{nothing}the reference has neither walls nor areas")
+
+
+def test_a_run_that_is_measured_is_not_warned_of(place, tmp_path):
+    done, out = evaluate(place, tmp_path, "-q")
+    assert (done.exit_code, done.stderr, read_eval(out).warnings) == (0, "", ())
 
 
 def test_a_map_of_cells_and_its_rooms(place, tmp_path):
@@ -249,6 +287,7 @@ def test_rooms_of_another_size_are_refused(place, tmp_path):
         ((), "give at least one of --reference, --trajectory and --relations"),
         (("--limit", "ate_rmse", "--trajectory", "x"), "'ate_rmse' is no limit"),
         (("--reference", "r.json", "--rooms", "i.png"), "--rooms is an image that lies on a map"),
+        (("--trajectory", "t.tum", "--overlay", "o.svg"), "--overlay draws the model over a"),
     ],
 )
 def test_wrong_usage_is_status_2(place, arguments, said):

@@ -220,7 +220,9 @@ class _Work:
         """The row of summary.json, but for the name; and what the reports beside it show."""
         values = dict(facts["metrics"])
         limits: list[dict[str, Any]] = []
+        warnings = list(facts["warnings"])
         if document is not None:
+            warnings += document.warnings
             values |= {name: float(value) for name, value in document.values().items()}
             limits = [
                 {"text": one.text, "value": one.value, "passed": one.passed}
@@ -232,6 +234,7 @@ class _Work:
             "reason": "; ".join(_missed(one) for one in missed) or None,
             **facts,
             "metrics": values,
+            "warnings": warnings,
             "limits": limits,
             "files": sorted(one.name for one in folder.iterdir()),
         }

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from hiermap_cli.commands.boundary import session
+from hiermap_cli.commands.common_options import PATH, ci_options, said_options
 from hiermap_cli.errors import EXIT_LIMIT, EXIT_OK
 
 if TYPE_CHECKING:
-    from hiermap_cli.evaluation.regression import Compared
+    from pathlib import Path
 
-PATH = click.Path(path_type=Path)
+    from hiermap_cli.evaluation.regression import Compared
 
 
 @click.command("compare", short_help="Compare two evaluations.")
@@ -27,11 +27,9 @@ PATH = click.Path(path_type=Path)
     metavar='"NAME>5%"',
     help="Fail where a metric changed so: NAME>5%, NAME<-5%, NAME>+0.02 or NAME>0.1.",
 )
-@click.option("--summary", metavar="FILE", type=PATH, help="A table in Markdown.")
-@click.option("--junit", metavar="FILE", type=PATH, help="The conditions as JUnit XML.")
+@ci_options("conditions")
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as JSON on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Nothing on stderr but errors.")
-@click.option("-v", "--verbose", is_flag=True, help="Tracebacks on stderr.")
+@said_options()
 def command(
     baseline: Path,
     candidate: Path,

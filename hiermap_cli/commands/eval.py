@@ -2,39 +2,33 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from hiermap_cli.commands.boundary import session
+from hiermap_cli.commands.boundary import one_line, session
+from hiermap_cli.commands.common_options import PATH, ci_options, path_option, said_options
 from hiermap_cli.errors import EXIT_LIMIT, EXIT_OK, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from pathlib import Path
 
-    from hiermap_cli.documents.eval_file import EvalDocument
     from hiermap_cli.evaluation.judge import Given, Judgement
-
-PATH = click.Path(path_type=Path)
 
 
 @click.command("eval", short_help="Measure a run against what is true.")
 @click.argument("folder", metavar="DIR", type=PATH)
-@click.option(
+@path_option(
     "--reference",
-    metavar="FILE",
-    type=PATH,
     help="Reference map: reference.json, or the YAML file of a map_server map.",
 )
-@click.option(
+@path_option(
     "--rooms",
     metavar="IMAGE",
-    type=PATH,
     help="Room segmentation on the map_server map: one colour for each room.",
 )
-@click.option("--trajectory", metavar="FILE", type=PATH, help="True trajectory (TUM).")
-@click.option("--relations", metavar="FILE", type=PATH, help="True relations (Kuemmerle et al.).")
+@path_option("--trajectory", help="True trajectory (TUM).")
+@path_option("--relations", help="True relations (Kuemmerle et al.).")
 @click.option(
     "--limit",
     "limits",
@@ -42,20 +36,12 @@ PATH = click.Path(path_type=Path)
     metavar='"NAME<=VALUE"',
     help="A limit on a metric; may be given many times. A missed one ends with status 3.",
 )
-@click.option("--limits", "limits_file", metavar="FILE", type=PATH, help="Limits in a YAML file.")
-@click.option(
-    "-o",
-    "--output",
-    metavar="FILE",
-    type=PATH,
-    help="The file to write; DIR/eval.json if not given.",
-)
-@click.option("--summary", metavar="FILE", type=PATH, help="A table in Markdown.")
-@click.option("--junit", metavar="FILE", type=PATH, help="The limits as JUnit XML.")
-@click.option("--overlay", metavar="FILE.svg", type=PATH, help="The model over the reference.")
+@path_option("--limits", "limits_file", help="Limits in a YAML file.")
+@path_option("-o", "--output", help="The file to write; DIR/eval.json if not given.")
+@ci_options("limits")
+@path_option("--overlay", metavar="FILE.svg", help="The model over the reference.")
 @click.option("--json", "as_json", is_flag=True, help="Print eval.json on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Nothing on stderr but errors.")
-@click.option("-v", "--verbose", is_flag=True, help="Tracebacks on stderr.")
+@said_options(quiet="Nothing on stderr but errors and warnings.")
 def command(
     folder: Path,
     reference: Path | None,
@@ -83,11 +69,14 @@ def command(
         hiermap eval office --reference reference.json --trajectory truth.tum
         hiermap eval office --reference map.yaml --limit "occupancy_agreement>=0.8"
 
+    Where the run cannot be put onto the reference map, as on that of another building, nothing is
+    measured there: a warning says so, and every limit on it is missed.
+
     Exit status: 0 if all limits hold, 1 if an input cannot be used, 3 if a limit is missed.
     """
     from hiermap_cli.batch.evaluate_run import EVAL, judge_run, read_truth, write_eval
-    from hiermap_cli.batch.limits_file import read_limits
     from hiermap_cli.documents.eval_file import eval_json
+    from hiermap_cli.documents.eval_text import eval_lines
     from hiermap_cli.evaluation.limits import parse_limit
 
     target = output if output is not None else folder / EVAL
@@ -95,8 +84,12 @@ def command(
     state.verbose, state.beside = verbose, target.parent
     if reference is None and trajectory is None and relations is None:
         raise UsageError("give at least one of --reference, --trajectory and --relations")
+    if overlay is not None and reference is None:
+        raise UsageError("--overlay draws the model over a reference map: give --reference too")
     asked = [parse_limit(text) for text in limits]
     if limits_file is not None:
+        from hiermap_cli.batch.limits_file import read_limits  # reads YAML as configurations do
+
         asked += read_limits(limits_file)
     given = read_truth(reference, trajectory, relations, rooms)
     judgement = judge_run(folder, given, asked)
@@ -106,7 +99,9 @@ def command(
     if as_json:
         click.echo(eval_json(document), nl=False)
     if not quiet:
-        _say(document, overlay, judgement)
+        for line in eval_lines(document):
+            click.echo(line, err=True)
+    _warn(judgement, overlay)
     raise click.exceptions.Exit(EXIT_OK if document.passed else EXIT_LIMIT)
 
 
@@ -135,13 +130,10 @@ def _write_more(
             temporary.write_text(picture, encoding="utf-8", newline="\n")
 
 
-def _say(document: EvalDocument, overlay: Path | None, judgement: Judgement) -> None:
-    from hiermap_cli.documents.eval_text import eval_lines
-
-    lines: Sequence[str] = eval_lines(document)
-    for line in lines:
-        click.echo(line, err=True)
+def _warn(judgement: Judgement, overlay: Path | None) -> None:
+    """Says, however quiet the command is, what was asked for and is not there."""
+    warnings = list(judgement.document.warnings)
     if overlay is not None and judgement.placed is None:
-        # Without a place of the model nothing is measured on the map, all for the same reason.
-        reasons = {one.name: one.reason for one in document.unmeasured}
-        click.echo(f"{overlay}: not drawn, {reasons['wall_rmse']}", err=True)
+        warnings.append(f"{overlay}: not drawn: the run was not put onto the reference map")
+    for warning in warnings:
+        click.echo(f"warning: {one_line(warning)}", err=True)

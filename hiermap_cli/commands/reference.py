@@ -7,35 +7,28 @@ from pathlib import Path
 import click
 
 from hiermap_cli.commands.boundary import session
-
-PATH = click.Path(path_type=Path)
+from hiermap_cli.commands.common_options import PATH, path_option, said_options
 
 
 @click.command("reference", short_help="Make a reference map from a map_server map.")
 @click.argument("map_file", metavar="MAP.yaml", type=PATH)
-@click.option(
+@path_option(
     "--rooms",
     metavar="IMAGE",
-    type=PATH,
     help="Room segmentation that lies on the map: one colour for each room, black between.",
 )
-@click.option(
+@path_option(
     "--trajectory",
-    metavar="FILE",
-    type=PATH,
     help="Trajectory (TUM) in the map's frame: what it never entered is marked as not visited.",
 )
-@click.option(
+@path_option(
     "-o",
     "--output",
-    metavar="FILE",
-    type=PATH,
     default=Path("reference.json"),
     help="The file to write; reference.json if not given.",
 )
 @click.option("--force", is_flag=True, help="Replace FILE if it exists.")
-@click.option("-q", "--quiet", is_flag=True, help="Nothing on stderr but errors.")
-@click.option("-v", "--verbose", is_flag=True, help="Tracebacks on stderr.")
+@said_options()
 def command(
     map_file: Path,
     rooms: Path | None,

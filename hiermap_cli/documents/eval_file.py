@@ -51,14 +51,16 @@ class EvalDocument:
     """What `hiermap eval` found.
 
     metrics: in the order of formats.md, only those that were measured. verdict: one sentence on
-    whether the covariances may be trusted, empty where nothing tells. details: further keys of
-    the document (alignment, consistency, errors by name), plain values.
+    whether the covariances may be trusted, empty where nothing tells. warnings: what was asked for
+    and could not be done at all, in words for a person. details: further keys of the document
+    (alignment, consistency, errors by name), plain values.
     """
 
     metrics: tuple[Metric, ...]
     limits: tuple[LimitOutcome, ...] = ()
     unmeasured: tuple[Unmeasured, ...] = ()
     verdict: str = ""
+    warnings: tuple[str, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -82,6 +84,7 @@ def eval_json(document: EvalDocument) -> bytes:
         "version": list(VERSION),
         "passed": document.passed,
         "verdict": document.verdict,
+        "warnings": list(document.warnings),
         "metrics": [metric_json(metric) for metric in document.metrics],
         "limits": [
             {
@@ -148,4 +151,5 @@ def read_eval(path: Path) -> EvalDocument:
         ),
         unmeasured=tuple(Unmeasured(one.name, one.reason) for one in shape.not_measured),
         verdict=shape.verdict,
+        warnings=tuple(shape.warnings),
     )

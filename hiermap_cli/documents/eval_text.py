@@ -116,6 +116,7 @@ def eval_markdown(document: EvalDocument, title: str) -> str:
         shown = "not measured" if value is None else figure(value)
         rows.append([name, shown, "", "", *_limit_cells(limits)])
     parts = [f"### hiermap eval: {markdown_text(title)}: {state}\n"]
+    parts += [f"**Warning:** {markdown_text(warning)}\n" for warning in document.warnings]
     if document.verdict:
         parts.append(f"{markdown_text(document.verdict)}\n")
     head = ["metric", "value", "units", "n", "limit", "state"]
@@ -145,15 +146,16 @@ def _limit_cells(limits: list[LimitOutcome]) -> tuple[str, str]:
 def eval_cases(document: EvalDocument, suite: str) -> list[Case]:
     """One JUnit case for each limit; without limits, one for the evaluation itself."""
     figures = {m.name: f"{m.value:.9g}" for m in document.metrics}
+    said = "\n".join((*(f"warning: {one}" for one in document.warnings), document.verdict))
     if not document.limits:
-        return [Case("eval", suite, output=document.verdict, properties=figures)]
+        return [Case("eval", suite, output=said, properties=figures)]
     return [
         Case(
             limit.text,
             suite,
             failure=None if limit.passed else said_of(limit, document),
             properties=figures if i == 0 else None,
-            output=document.verdict if i == 0 else "",
+            output=said if i == 0 else "",
         )
         for i, limit in enumerate(document.limits)
     ]

@@ -216,6 +216,7 @@ class EvalDocument(Shape):
     version: Version
     passed: bool
     verdict: str = Field("", description="whether the covariances may be trusted, in a sentence")
+    warnings: list[str] = Field([], description="what was asked for and could not be done at all")
     metrics: list[MetricShape]
     limits: list[LimitShape]
     not_measured: list[UnmeasuredShape] = Field(

@@ -116,6 +116,7 @@ def judge(run: Run, given: Given, limits: Sequence[Limit] = ()) -> Judgement:
         limits=judge_limits(limits, values),
         unmeasured=unmeasured((m.name for m in metrics), reasons),
         verdict=trust.sentence,
+        warnings=_warnings(given, mapped, reasons),
         details=details,
     )
     return Judgement(document, mapped.placed, mapped.findings)
@@ -223,6 +224,15 @@ def _map(run: Run, given: Given, reasons: dict[str, str], details: dict[str, Any
     return _Mapped(
         list(findings.metrics()), alignment.R_t_g, placed, findings, by_trajectory=by_trajectory
     )
+
+
+def _warnings(given: Given, mapped: _Mapped, reasons: Mapping[str, str]) -> tuple[str, ...]:
+    """That a reference map was given in vain."""
+    if mapped.metrics or (given.reference is None and given.grid is None):
+        return ()
+    name = given.names.get("reference", "the reference map")
+    why = "it has nothing to measure" if mapped.placed is not None else reasons["walls"]
+    return (f"{name}: nothing was measured on this map: {why}",)
 
 
 def _aligned(
