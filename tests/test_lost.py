@@ -14,8 +14,11 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap, add_walls
 from hiermap_cli.mapping.association.relocation import area_lines
 from hiermap_cli.mapping.environment import Anchors, Link, compose_environment
+from hiermap_cli.mapping.mapper import Mapper
+from hiermap_cli.mapping.odometry.carried import CarryWatch
 from hiermap_cli.mapping.run import map_log
 from hiermap_cli.mapping.topology.lost import constellations, through_walls
+from hiermap_cli.mapping.topology.passages import Passage, PassageDetector
 from hiermap_cli.mapping.topology.whereabouts import settled
 from hiermap_cli.perception.views import SegmentView
 from hiermap_cli.simulation.simulator import simulate
@@ -66,6 +69,33 @@ def test_a_carried_robot_is_found_and_spoils_nothing(name):
     start = simulation.stamps_ns[0] / 1e9
     assert lost.details["begin"] - start == pytest.approx(at, abs=1.0)
     assert at < lost.details["end"] - start < at + 20.0
+
+
+def test_a_robot_that_is_lost_goes_through_no_door(monkeypatch):
+    """What would begin an area there is taken back, and the area with it would hang on nothing."""
+    spec = load_world(DATASETS / "room.yaml").spec
+    plain = spec.model_dump(exclude_none=True) | {"lifts": [LIFTS["room"]]}
+    simulation = simulate(build_world(type(spec).model_validate(plain)), np.random.default_rng(0))
+    strays, passed, lost = Mapper._strays, PassageDetector.passed, [False]
+
+    def watched(mapper, *args):
+        strays(mapper, *args)
+        lost.append(len(mapper._astray) >= mapper.config.lost.scans)
+
+    def door(detector, trace):
+        """A door wherever the robot is lost; otherwise what there is."""
+        if lost[-1]:
+            return Passage(trace.poses[-1], 0.9, trace.length, np.ones(2), np.zeros(2))
+        return passed(detector, trace)
+
+    # Not seen to be carried: it is by the walls that the robot must find out.
+    monkeypatch.setattr(CarryWatch, "put_down", lambda *_: False)
+    monkeypatch.setattr(Mapper, "_strays", watched)
+    monkeypatch.setattr(PassageDetector, "passed", door)
+    result = map_log(simulation.blocks(), Config())
+    assert any(lost)
+    assert len(result.model.areas) == 1
+    assert not result.model.environment.doors
 
 
 @pytest.mark.slow

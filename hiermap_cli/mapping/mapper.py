@@ -148,7 +148,7 @@ class Mapper:
             return
         drive = self.driving.drive(self.area, self.current, increment, self.trail, missing=missing)
         self._key(now, drive, missing=missing)
-        if len(self._astray) >= self.config.lost.scans:
+        if self._is_lost():
             self._set_apart()
 
     def _key(
@@ -165,6 +165,8 @@ class Mapper:
         V, motion = self.area.V, None if at_origin else drive.motion
         self.trail.key(now.stamp_ns, self.current, V, motion)
         self._strays(now, drive, step)
+        if self._is_lost():
+            return  # through no door: where it seems to be, it is not
         distance = math.hypot(*drive.increments[-1, :2].tolist())
         area = self.crossings.step(
             Passing(now.stamp_ns, self.key - 1, distance, now.sight, now.view)
@@ -194,6 +196,9 @@ class Mapper:
         else:
             self._astray = []
         self._counted = replace(self.counts)
+
+    def _is_lost(self) -> bool:
+        return len(self._astray) >= self.config.lost.scans
 
     def _set_apart(self) -> None:
         """The robot is lost: take back what it was taken to have seen, and map it by itself."""
