@@ -31,7 +31,7 @@ _BLUR = 0.4  # metres, of walls
 _TRIED = 40  # places that are looked at closely
 _BEYOND = 0.5  # of the model's reach, that its middle may lie outside the reference
 _PEAKS = 8  # of them at one heading
-_MOST = 10_000  # points of a layer
+_MOST = 5_000  # points of a layer
 
 
 def differ(a: Array, b: Array) -> bool:
