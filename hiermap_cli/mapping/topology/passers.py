@@ -35,15 +35,15 @@ ABOUT = 8  # beams that must all go past
 class Look(NamedTuple):
     """A scan: the laser's place (2,), bearings (n,) of its beams, as they grow, less `heading`.
 
-    least: (n - 7,) the shortest of eight beams in a row. gap: (n - 7,) radians that they span.
-    points: (m, 2) the ends of beams that are compared, and `at`: where they lie in `NearEnds`.
+    past: (n + 1,) how far a place between two beams (by the number of beams before it) is seen
+    past by all eight about it, zero where it is not. points: (m, 2) the ends of beams that are
+    compared, and `at`: where they lie in `NearEnds`.
     """
 
     origin: Array
     heading: float
     bearing: Array
-    least: Array
-    gap: Array
+    past: Array
     points: Array
     at: int
 
@@ -55,13 +55,14 @@ def looked(origin: Array, ends: Array, points: Array, at: int = 0) -> Look:
     order = bearing.argsort()
     bearing = bearing[order]
     r = np.hypot(d[:, 0], d[:, 1])[order]
-    least, gap = r[:0], r[:0]
+    past = np.zeros(len(r) + 1)
     if len(r) >= ABOUT:
         two = np.minimum(r[1:], r[:-1])
         four = np.minimum(two[2:], two[:-2])
         least = np.minimum(four[4:], four[:-4])
-        gap = bearing[ABOUT - 1 :] - bearing[: 1 - ABOUT]
-    return Look(origin, 0.0, bearing, least, gap, points, at)
+        dense = bearing[ABOUT - 1 :] - bearing[: 1 - ABOUT] < APART
+        past[ABOUT // 2 : -(ABOUT // 2)] = np.maximum(least - BEYOND, 0.0) * dense
+    return Look(origin, 0.0, bearing, past, points, at)
 
 
 def seen_through(look: Look, points: Array) -> Mask:
@@ -70,16 +71,11 @@ def seen_through(look: Look, points: Array) -> Mask:
     Nothing is told of the few beams about where bearings begin anew.
     """
     x, y = points[:, 0] - look.origin[0], points[:, 1] - look.origin[1]
-    if not len(look.least):
-        return np.zeros(len(points), dtype=bool)
     bearing = np.arctan2(y, x)
     if look.heading:
         bearing = se2.wrap(bearing - look.heading)
-    i = look.bearing.searchsorted(bearing) - ABOUT // 2
-    inside = (i >= 0) & (i < len(look.least))
-    i = i.clip(0, len(look.least) - 1)
-    far = look.least[i] - BEYOND
-    return np.asarray(inside & (look.gap[i] < APART) & (far > 0.0) & (far * far > x * x + y * y))
+    far = look.past.take(look.bearing.searchsorted(bearing))
+    return np.asarray(far * far > x * x + y * y)
 
 
 def gone_over(points: Array, path: Sequence[Array]) -> Mask:
