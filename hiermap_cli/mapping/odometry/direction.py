@@ -272,7 +272,14 @@ class DirectionWatch:
         return Branch(first.drive.leg.stamps_ns[max(at, 0)], tuple(told))
 
     def _filtered(self, one: Told, last: Told | None, increments: Array) -> Told:
-        """A drive of the window with other increments, after `last` of a branch (or as it was)."""
+        """A drive of the window with other increments, after `last` of a branch (or as it was).
+
+        Where the robot turns about just now nothing has gone the other way yet: the step is the
+        one that is told.
+        """
+        now = last is None and one is self._window[-1]
+        if now and np.array_equal(increments, one.drive.increments):
+            return one._replace(cost=self.stepper.misfit(one.step))
         before = one.drive.before if last is None else last.step.area
         motion, step = self.stepper.filtered(before, increments[-1], one.view, one.key)
         cost = self.stepper.misfit(step) + (0.0 if last is None else last.cost)
