@@ -80,6 +80,10 @@ class AreaMap:
     next_uid: int = 0
     glimpsed: tuple[Glimpse, ...] = ()
 
+    def with_map(self, V: StochasticMap) -> AreaMap:
+        """The same features, estimated otherwise."""
+        return AreaMap(V, self.features, self.next_uid, self.glimpsed)
+
 
 def add_walls(area: AreaMap, view: SegmentView, segments: Index, key: int) -> AreaMap:
     """New walls (equation 2), each with its frame at the segment's centre."""
@@ -165,7 +169,7 @@ def forget(area: AreaMap, drop: NDArray[np.bool_]) -> AreaMap:
 
 def joined(old: Features, new: Features) -> Features:
     """The features of `old`, then those of `new`."""
-    return Features._make(np.concatenate(pair) for pair in zip(old, new, strict=True))
+    return Features._make(map(np.concatenate, zip(old, new, strict=True)))
 
 
 def area_from_here(area: AreaMap, key: int) -> AreaMap:

@@ -15,6 +15,7 @@ from hiermap_cli.mapping.area_map import (
     END,
     WALL,
     AreaMap,
+    Features,
     Glimpse,
     add_ends,
     add_walls,
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import Config, FilterConfig, ForgetConfig
     from hiermap_cli.estimation.stochastic_map import StochasticMap
-    from hiermap_cli.mapping.area_map import Features
     from hiermap_cli.mapping.association.matching import Association
     from hiermap_cli.mapping.association.sighting import Matches
     from hiermap_cli.perception.views import SegmentView
@@ -58,9 +58,16 @@ class Step(NamedTuple):
 def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     """Correct the area with one scan, then let new walls and ends in."""
     found = associate(area, view, config.association, config.filter)
+    return believed(area, view, found, key, config)
+
+
+def believed(
+    area: AreaMap, view: SegmentView, found: Association, key: int, config: Config
+) -> Step:
+    """The step of a scan whose segments were `associate`d."""
     matches, sighting, constraint = found.matches, found.sighting, found.constraint
     nis, degrees, told, innovation = 0.0, 0, None, None
-    along = np.zeros((0, 2))
+    along: list[list[float]] = []
     if constraint is not None and sighting is not None:
         V, made = constrain(
             area.V, constraint, lambda V: sighting.innovations(Viewpoint.of(V)), config.update
@@ -71,10 +78,10 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
         if degrees >= LEAST_ROWS:
             shrunk = area.V.covariance[:3, :3] - V.covariance[:3, :3]
             told = surprise(nis, degrees, made.delta[:3], shrunk)
-        area = AreaMap(V, area.features, area.next_uid, area.glimpsed)
-        along = _along(V, view, matches)
-        area = _seen(area, matches, along, key)
-    fresh = _fresh_ends(area.V, view, found, along.tolist())
+        x = _along(V, view, matches)
+        area = AreaMap(V, _seen(area.features, matches, x, key), area.next_uid, area.glimpsed)
+        along = x.tolist()
+    fresh = _fresh_ends(area.V, view, found, along)
     new = (~found.near & (view.length >= config.filter.min_new_length)).nonzero()[0]
     if len(new):
         first = len(area.features.uid)
@@ -85,24 +92,22 @@ def observe(area: AreaMap, view: SegmentView, key: int, config: Config) -> Step:
     return Step(area, matches, found.offered, nis, degrees, told, innovation)
 
 
-def _seen(area: AreaMap, matches: Matches, x: Array, key: int) -> AreaMap:
+def _seen(f: Features, matches: Matches, x: Array, key: int) -> Features:
     """Extents and counts after a match; x: (a, 2) ends of the segments along their walls."""
-    f = area.features
     lo, hi, seen, last = f.lo.copy(), f.hi.copy(), f.seen.copy(), f.last.copy()
     np.minimum.at(lo, matches.wall, x[:, 0])
     np.maximum.at(hi, matches.wall, x[:, 1])
     objects = np.concatenate((matches.wall, matches.end))
     seen[objects] = f.seen[objects] + 1  # once a scan, however many of its segments lie on it
     last[objects] = key
-    features = f._replace(lo=lo, hi=hi, seen=seen, last=last)
-    return AreaMap(area.V, features, area.next_uid, area.glimpsed)
+    return Features(f.uid, f.kind, f.wall, f.side, lo, hi, seen, last)
 
 
 def _along(V: StochasticMap, view: SegmentView, matches: Matches) -> Array:
     """Both ends of matched segments along the X axis of their walls, (a, 2)."""
-    F, viewpoint = object_frames(V, matches.wall), Viewpoint.of(V)
-    ends = viewpoint.place + viewpoint.turn * planar(view.ends).take(matches.segment, axis=0)
-    return np.asarray(((ends - F.origin[:, None]) * F.unturn[:, None]).real)
+    (origin, unturn), (place, turn) = object_frames(V, matches.wall).table, Viewpoint.of(V)
+    ends = place + turn * planar(view.ends).take(matches.segment, axis=0)
+    return np.asarray(((ends - origin[:, None]) * unturn[:, None]).real)
 
 
 class FreshEnd(NamedTuple):

@@ -83,19 +83,14 @@ class Offered(NamedTuple):
     pair: Index
 
 
-class Pairs(NamedTuple):
-    """Pairs that passed their own gates, by segment, best first.
+class Pair(NamedTuple):
+    """A pair that passed its own gate. at: which of those within reach. cost: lower is better."""
 
-    at: (g,) which of the pairs within reach. cost: (g,) lower is better.
-    """
+    cost: float
+    at: int
 
-    segment: Index
-    at: Index
-    cost: Array
 
-    def select(self, which: Index) -> Pairs:
-        """Some of the pairs."""
-        return Pairs(self.segment.take(which), self.at.take(which), self.cost.take(which))
+Gated = dict[int, list[Pair]]  # of each segment, in order, its pairs, the best first
 
 
 def associate(
@@ -106,28 +101,27 @@ def associate(
     All pairs within reach, and the ends that could go with them, are predicted at one stroke:
     gates, joint compatibility and the update all choose among these rows.
     """
-    frames, seen = object_frames(area.V), Seen.of(view)
+    frames, seen, viewpoint = object_frames(area.V), Seen.of(view), Viewpoint.of(area.V)
     long = view.length >= filter_config.min_match_length
     offered = int(np.count_nonzero(long))
-    near = np.zeros(len(view.length), dtype=bool)
+    near = np.zeros(len(long), dtype=bool)
     nothing = Association(_NO_MATCHES, None, None, near, offered, {})
-    reached = within_reach(area, frames, view, seen, config, long)
+    reached = within_reach(area, frames, view, seen, viewpoint, config, long)
     if not len(reached.segment):
         return nothing
     offers = _offered(area, view, reached)
     sighting = Sighting.of(frames, seen, offers.matches)
     told = predicted(area.V, *match_rows(area.V, sighting, view, offers.matches))
-    pairs = _gated(told, reached, config)
-    if not len(pairs.at):
+    gated = _gated(told, reached, config)
+    if not gated:
         return nothing
-    near[pairs.segment] = True
-    pairs = _longest(pairs, view)
-    best = pairs.at.take(_first(pairs.segment))
+    near[list(gated)] = True
+    tried = _longest(gated, view)
+    best = [pairs[0].at for pairs in tried.values()]
     found = _with_ends(told, sighting, offers, best, config)
     z = found.constraint.gain.whiten(found.constraint.innovation)[: 2 * len(best)]
     if config.joint and float(z @ z) > chi_square(config.gate, 2 * len(best)):
-        few = _best_few(pairs)
-        best = few.at.take(_jointly_compatible(told, few, config))
+        best = _jointly_compatible(told, tried, config)
         found = _with_ends(told, sighting, offers, best, config)
     return Association(found.matches, found.sighting, found.constraint, near, offered, found.known)
 
@@ -137,6 +131,7 @@ def within_reach(
     frames: Frames,
     view: SegmentView,
     seen: Seen,
+    viewpoint: Viewpoint,
     config: AssociationConfig,
     long: NDArray[np.bool_],
 ) -> Reached:
@@ -149,7 +144,6 @@ def within_reach(
     f = area.features
     walls = (f.kind == WALL).nonzero()[0]
     F = frames.select(walls)
-    viewpoint = Viewpoint.of(area.V)
     # The robot along and aside of each wall, the segments along and aside of the robot.
     place = F.local(viewpoint.place)
     unturn = seen.direction.conj()
@@ -178,64 +172,61 @@ def _offered(area: AreaMap, view: SegmentView, reached: Reached) -> Offered:
     return Offered(matches, pair.take(seen))
 
 
-def _gated(told: Prediction, reached: Reached, config: AssociationConfig) -> Pairs:
+def _gated(told: Prediction, reached: Reached, config: AssociationConfig) -> Gated:
     """The pairs that pass their own gates, chi-square with 2 degrees of freedom.
 
-    They are ranked by `d2 + log det S` less a bonus for overlap.
+    They are ranked by `d2 + log det S` less a bonus for overlap. Like all that concerns single
+    pairs this is written out: a scan has only a few of them.
     """
-    rows = 2 * len(reached.segment)
-    diagonal = told.S.diagonal()
-    S_yy, S_tt, S_yt = diagonal[0:rows:2], diagonal[1:rows:2], told.S.diagonal(1)[0:rows:2]
-    y, t = told.innovation[0:rows:2], told.innovation[1:rows:2]
-    det = S_yy * S_tt - S_yt * S_yt
-    d2 = (S_tt * y * y - 2.0 * S_yt * y * t + S_yy * t * t) / det
-    cost = d2 + np.log(det) - config.overlap_bonus * reached.overlap
-    order = np.lexsort((cost, reached.segment))
-    order = order[d2.take(order) < chi_square(config.gate, 2)]
-    return Pairs(reached.segment.take(order), order, cost.take(order))
+    nu, diagonal = told.innovation.tolist(), told.S.diagonal().tolist()
+    beside, overlap = told.S.diagonal(1).tolist(), reached.overlap.tolist()
+    gate, bonus = chi_square(config.gate, 2), config.overlap_bonus
+    gated: Gated = {}
+    for at, segment in enumerate(reached.segment.tolist()):
+        y, t = nu[2 * at], nu[2 * at + 1]
+        S_yy, S_tt, S_yt = diagonal[2 * at], diagonal[2 * at + 1], beside[2 * at]
+        det = S_yy * S_tt - S_yt * S_yt
+        d2 = (S_tt * y * y - 2.0 * S_yt * y * t + S_yy * t * t) / det
+        if d2 < gate:
+            pair = Pair(d2 + math.log(det) - bonus * overlap[at], at)
+            gated.setdefault(segment, []).append(pair)
+    for pairs in gated.values():
+        pairs.sort()
+    return gated
 
 
-def _longest(pairs: Pairs, view: SegmentView) -> Pairs:
+def _longest(gated: Gated, view: SegmentView) -> Gated:
     """The pairs of the longest segments, where there are more than can be tried together."""
-    segments = pairs.segment.take(_first(pairs.segment))
-    if len(segments) <= MAX_SEGMENTS:
-        return pairs
-    order = np.argsort(-view.length.take(segments), kind="stable")
-    return pairs.select(np.isin(pairs.segment, segments[order[:MAX_SEGMENTS]]).nonzero()[0])
+    if len(gated) <= MAX_SEGMENTS:
+        return gated
+    longest = sorted(gated, key=lambda segment: -view.length[segment])[:MAX_SEGMENTS]
+    return {segment: gated[segment] for segment in sorted(longest)}
 
 
-def _best_few(pairs: Pairs) -> Pairs:
-    """The best few candidates of every segment."""
-    first = _first(pairs.segment)
-    counts = np.diff(np.append(first, len(pairs.segment)))
-    rank = np.arange(len(pairs.segment)) - np.repeat(first, counts)
-    return pairs.select((rank < MAX_CANDIDATES).nonzero()[0])
-
-
-def _first(segment: Index) -> Index:
-    """Where each segment's run begins in a list sorted by segment: its best candidate."""
-    new = np.empty(len(segment), dtype=bool)
-    new[:1] = True
-    np.not_equal(segment[1:], segment[:-1], out=new[1:])
-    return new.nonzero()[0]
-
-
-def _rows(pair: Index) -> Index:
+def _rows(pairs: list[int]) -> list[int]:
     """The rows (y, theta) of pairs."""
-    return np.asarray((2 * pair[:, None] + np.arange(2)).ravel())
+    return [row for pair in pairs for row in (2 * pair, 2 * pair + 1)]
 
 
-def _jointly_compatible(told: Prediction, tried: Pairs, config: AssociationConfig) -> Index:
-    """The best pairs less one in four at most that spoil them, else branch and bound over all."""
-    rows = _rows(tried.at)
-    innovation = told.innovation.take(rows).reshape(-1, 2)
-    S = told.S.take(rows, axis=0).take(rows, axis=1)
-    candidates = Candidates(tried.segment, tried.cost, innovation, S)
-    best = _first(tried.segment).tolist()
+def _jointly_compatible(told: Prediction, tried: Gated, config: AssociationConfig) -> list[int]:
+    """The best pairs less one in four at most that spoil them, else branch and bound.
+
+    Of every segment the best few are tried.
+    """
+    few = [(segment, pair) for segment, all_ in tried.items() for pair in all_[:MAX_CANDIDATES]]
+    segments = [segment for segment, _ in few]
+    rows = np.array(_rows([pair.at for _, pair in few]))
+    candidates = Candidates(
+        np.array(segments),
+        np.array([pair.cost for _, pair in few]),
+        told.innovation.take(rows).reshape(-1, 2),
+        told.S.take(rows, axis=0).take(rows, axis=1),
+    )
+    best = [segments.index(segment) for segment in tried]
     kept = without_the_worst(candidates, best, config.gate, len(best) // 4)
     if kept is None:
         kept = joint_compatibility(candidates, config.gate)
-    return np.array(kept, dtype=np.int64)
+    return [few[i][1].at for i in kept]
 
 
 class _Chosen(NamedTuple):
@@ -250,34 +241,33 @@ class _Chosen(NamedTuple):
 def _with_ends(
     told: Prediction,
     sighting: Sighting,
-    all_pairs: Offered,
-    chosen: Index,
+    offers: Offered,
+    chosen: list[int],
     config: AssociationConfig,
 ) -> _Chosen:
     """The chosen pairs, and of the ends of their walls the nearest, one to one, within the gate."""
-    pairs = all_pairs.matches
-    among = np.zeros(len(pairs.wall), dtype=bool)
-    among[chosen] = True
-    ends = among.take(all_pairs.pair).nonzero()[0]
-    seen = list(
-        zip(pairs.end_segment.take(ends).tolist(), pairs.end_side.take(ends).tolist(), strict=True)
-    )
-    end = pairs.end.take(ends).tolist()
-    rows = 2 * len(pairs.wall) + ends
-    d2 = np.square(told.innovation.take(rows)) / told.S.diagonal().take(rows)
-    kept = ends.take(_one_to_one(seen, end, d2.tolist(), chi_square(config.gate, 1)))
+    pairs, among, n = offers.matches, set(chosen), 2 * len(offers.matches.wall)
+    ends = [i for i, pair in enumerate(offers.pair.tolist()) if pair in among]
+    segment, side = pairs.end_segment.tolist(), pairs.end_side.tolist()
+    seen = [(segment[i], side[i]) for i in ends]
+    offered = pairs.end.tolist()
+    end = [offered[i] for i in ends]
+    all_d2 = (np.square(told.innovation[n:]) / told.S.diagonal()[n:]).tolist()
+    d2 = [all_d2[i] for i in ends]
+    kept = [ends[i] for i in _one_to_one(seen, end, d2, chi_square(config.gate, 1))]
     known: KnownEnds = {}
     for which, one in zip(seen, end, strict=True):
         known.setdefault(which, []).append(one)
+    at_pairs, at_ends = np.array(chosen), np.array(kept, dtype=np.int64)
     matches = Matches(
-        pairs.segment.take(chosen),
-        pairs.wall.take(chosen),
-        pairs.end_segment.take(kept),
-        pairs.end_side.take(kept),
-        pairs.end.take(kept),
+        pairs.segment.take(at_pairs),
+        pairs.wall.take(at_pairs),
+        pairs.end_segment.take(at_ends),
+        pairs.end_side.take(at_ends),
+        pairs.end.take(at_ends),
     )
-    rows = np.concatenate((_rows(chosen), 2 * len(pairs.wall) + kept))
-    return _Chosen(matches, sighting.select(chosen, kept), told.constraint(rows), known)
+    rows = np.array(_rows(chosen) + [n + i for i in kept])
+    return _Chosen(matches, sighting.select(at_pairs, at_ends), told.constraint(rows), known)
 
 
 def _one_to_one(

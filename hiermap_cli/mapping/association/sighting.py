@@ -58,8 +58,9 @@ def object_frames(V: StochasticMap, objects: Index | None = None) -> Frames:
     """The frames of all objects, or of those given (indices from 0)."""
     poses = V.poses[1:] if objects is None else V.poses.take(1 + objects, axis=0)
     table = np.empty((2, len(poses)), dtype=np.complex128)
-    table[0] = planar(poses)
-    table[1] = turning(-poses[:, 2])
+    table[0], theta, unturn = planar(poses), poses[:, 2], table[1]
+    np.cos(theta, out=unturn.real)
+    np.sin(-theta, out=unturn.imag)
     return Frames(table)
 
 
@@ -140,9 +141,10 @@ class Sighting(NamedTuple):
 
     def from_objects(self, viewpoint: Viewpoint) -> tuple[Complex, Complex]:
         """Points (a + b,) and directions (a,) as they lie in the frames of their objects."""
+        place, turn = viewpoint
         origin, unturn = self.frames.table
-        point = (self.point * viewpoint.turn + viewpoint.place - origin) * unturn
-        return point, self.direction * unturn[: len(self.direction)] * viewpoint.turn
+        point = (self.point * turn + place - origin) * unturn
+        return point, self.direction * unturn[: len(self.direction)] * turn
 
     def innovations(self, viewpoint: Viewpoint) -> Array:
         """Of matched segments (y, theta at the wall's origin), then of ends (x), (2 a + b,)."""
@@ -169,8 +171,7 @@ def match_rows(
     """
     a, b = len(matches.wall), len(matches.end)
     k = 2 * a + b
-    viewpoint = Viewpoint.of(V)
-    point, direction = sighting.from_objects(viewpoint)
+    point, direction = sighting.from_objects(Viewpoint.of(V))
     origin, unturn = sighting.frames.table
     # Rows of Ad(X_l^-1): of walls y and theta, of ends x.
     H = np.zeros((k, 3))

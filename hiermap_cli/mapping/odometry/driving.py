@@ -7,7 +7,7 @@ nothing of the calibration, and it is the walls that tell where the robot has co
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -83,7 +83,7 @@ class Driving:
         costs = []
         for trusted in (True, False):
             V = predict(area.V, step.motion(area, increment, trusted=trusted))
-            costs.append(step.misfit(observe(replace(area, V=V), view, key, step.config)))
+            costs.append(step.misfit(observe(area.with_map(V), view, key, step.config)))
         return costs[1] < costs[0] - step.config.odometry_faults.clear
 
     def drive(

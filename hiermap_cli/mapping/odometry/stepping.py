@@ -6,7 +6,7 @@ the same functions as what is believed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +15,8 @@ from hiermap_cli.estimation import motion as odometry_model
 from hiermap_cli.estimation.association import chi_square
 from hiermap_cli.estimation.noise import NoiseScale
 from hiermap_cli.estimation.stochastic_map import Motion, predict
-from hiermap_cli.mapping.association.area_filter import Step, observe
+from hiermap_cli.mapping.association.area_filter import Step, believed, observe
+from hiermap_cli.mapping.association.matching import associate
 from hiermap_cli.mapping.association.relocation import relocate, robot_found, widened
 from hiermap_cli.perception.views import with_noise
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import Config
     from hiermap_cli.mapping.area_map import AreaMap
+    from hiermap_cli.mapping.association.sighting import Matches
     from hiermap_cli.perception.views import SegmentView
 
     Array = NDArray[np.float64]
@@ -58,7 +60,7 @@ class Stepper:
     ) -> tuple[Motion, Step]:
         """An area after an increment and a `noisy` view."""
         motion = self.motion(area, increment)
-        return motion, observe(replace(area, V=predict(area.V, motion)), view, key, self.config)
+        return motion, observe(area.with_map(predict(area.V, motion)), view, key, self.config)
 
     def found_again(
         self, area: AreaMap, view: SegmentView, step: Step, key: int, *, suspect: bool
@@ -71,12 +73,15 @@ class Stepper:
         found = relocate(area, view, c, suspect=suspect)
         tried = [robot_found(area.V, found.pose, c)] if found is not None else []
         tried.append(widened(area.V, c))
+        total, so_far = float(view.length.sum()), matched_length(view, step.matches)
+        wide = self._wide
         for hypothesis in tried:
-            again = observe(replace(area, V=hypothesis), view, key, self._wide)
-            matched, total = matched_length(view, again), float(view.length.sum())
-            more = matched - matched_length(view, step) >= max(c.gain * total, c.min_gain)
+            there = area.with_map(hypothesis)
+            again = associate(there, view, wide.association, wide.filter)
+            matched = matched_length(view, again.matches)
+            more = matched - so_far >= max(c.gain * total, c.min_gain)
             if more and matched >= max(c.min_share * total, c.min_explained):
-                return again
+                return believed(there, view, again, key, wide)
         return None
 
     def is_poor(
@@ -107,6 +112,6 @@ def matched_walls(view: SegmentView, step: Step) -> Index:
     return walls
 
 
-def matched_length(view: SegmentView, step: Step) -> float:
+def matched_length(view: SegmentView, matches: Matches) -> float:
     """Metres of the scan's segments that were matched."""
-    return float(view.length[step.matches.segment].sum())
+    return float(view.length[matches.segment].sum())
