@@ -28,8 +28,13 @@ def places_of(*grids, paths=None):
     return places
 
 
-def pairs(places, frames, bars=NO_BARS):
-    return one_place(grounds(places, np.array(frames, dtype=float), bars, 0.8), 0.5)
+def pairs(places, frames, bars=NO_BARS, *, across=True):
+    """The pairs that are one place; across: the robot drove between all of them."""
+    frames = np.array(frames, dtype=float)
+    ground, sure = (grounds(places, frames, bars, w) for w in (0.8, DoorConfig().max_width))
+    n = len(frames)
+    driven = {(a, b) for a in range(n) for b in range(a + 1, n)} if across else set()
+    return one_place(ground, sure, driven, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -58,6 +63,37 @@ def test_what_lies_behind_a_door_is_not_common():
     door = np.array([[4.0, 0.0, -0.5 * np.pi]])
     assert pairs(places, frames, Bars(door, np.array([3.0]))) == []
     assert pairs(places, frames, Bars(door, np.array([0.9]))) == [(0, 1)]  # a way round it
+
+
+def two_rooms(door):
+    """Rooms of 4 x 4 m, side by side, and an opening between them; all of it free where seen."""
+    passed = np.zeros((80, 40), np.uint8)
+    passed[:38], passed[42:] = 1, 1
+    width = round(10 * door)
+    passed[:, 20 - width // 2 : 20 - width // 2 + width] = 1
+    return FreeGrid(passed, np.zeros_like(passed), (0, -20), scans=1)
+
+
+@pytest.mark.parametrize(("door", "across", "one"), [
+    (1.0, True, True), (1.0, False, False), (3.0, False, True),
+])  # fmt: skip
+def test_what_was_seen_through_a_door_never_driven_through_is_another_place(door, across, one):
+    """From the first room most of the second was seen, in which the robot had been before.
+
+    Where it has driven from one into the other a door would be known; an opening wider than
+    any door parts nothing.
+    """
+    places = places_of(two_rooms(door), two_rooms(0.0), paths=[(0.5, 3.5), (4.5, 7.5)])
+    frames = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    assert pairs(places, frames, across=across) == ([(0, 1)] if one else [])
+
+
+@pytest.mark.parametrize(("x", "one"), [(21.0, True), (26.0, False)])
+def test_the_halves_of_a_long_place_are_one_if_the_robot_went_along_both(x, one):
+    """Corridors of 30 m of which less than a third is common, with 9 m or 4 m of either's path."""
+    places = places_of(strip(30.0, 2.0), strip(30.0, 2.0), paths=[(0.0, 30.0), (0.0, 30.0)])
+    frames = [[0.0, 0.0, 0.0], [x, 0.0, 0.0]]
+    assert pairs(places, frames, across=False) == ([(0, 1)] if one else [])
 
 
 def test_a_path_beyond_a_door_does_not_tell():

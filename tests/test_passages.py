@@ -8,6 +8,8 @@ import pytest
 from hiermap_cli.config import DoorConfig, LaserConfig
 from hiermap_cli.geometry import se2
 from hiermap_cli.logs.records import LaserGeometry, Mount, ScanBlock
+from hiermap_cli.mapping.topology.again import door_missed, door_of
+from hiermap_cli.mapping.topology.chords import narrowest_chord
 from hiermap_cli.mapping.topology.near_ends import NearEnds
 from hiermap_cli.mapping.topology.passages import (
     KEPT,
@@ -16,7 +18,6 @@ from hiermap_cli.mapping.topology.passages import (
     Trace,
     aligned,
     line_evidence,
-    narrowest_chord,
     needed,
 )
 from hiermap_cli.perception.sight import REACH, Sight, sights
@@ -105,6 +106,46 @@ def test_a_gap_between_furniture_is_narrow_but_no_door():
     assert told
     for passage in told:
         assert passage.evidence < DoorConfig().min_evidence * needed(passage.width)
+
+
+def drive_past_someone(walls, person, until):
+    """As `drive`, with a person who stays until the robot is there, in metres of path.
+
+    Returns the passages, the doors that they are, and the trace at the end.
+    """
+    trace, detector, told, doors = Trace(), PassageDetector(DoorConfig()), [], []
+    before = None
+    for k, pose in enumerate(straight()):
+        here = walls + person if 0.1 * k < until else walls
+        step = 0.0 if before is None else float(np.hypot(*(pose[:2] - before[:2])))
+        trace.add(pose, step, look(pose, here, fov=2 * np.pi, beams=360))
+        passage = detector.passed(trace)
+        if passage is not None:
+            told.append(passage)
+            door = door_of(passage, detector, trace, DoorConfig())
+            doors += [] if door is None else [door]
+        before = pose
+    return told, doors, trace
+
+
+def test_a_door_is_found_though_someone_stood_in_it_until_the_robot_came():
+    someone = box(0.5, -0.5, 0.4, 0.3)  # beyond the door, to the right of the way
+    told, doors, trace = drive_past_someone(ROOMS + WALL, someone, 2.6)
+    enough = DoorConfig().min_evidence
+    assert all(one.evidence < enough * needed(one.width) for one in told)  # chords to the person
+    assert told
+    assert len(doors) == 1
+    for door in (*doors, door_missed(trace, DoorConfig())):
+        assert door.frame[:2] == pytest.approx([0.0, 0.0], abs=0.2)
+        assert door.width == pytest.approx(0.9, abs=0.12)
+        assert door.evidence > 2.0
+
+
+def test_furniture_is_not_asked_for_twice():
+    told, doors, trace = drive_past_someone(FURNITURE, [], 0.0)
+    assert told
+    assert doors == []
+    assert door_missed(trace, DoorConfig()) is None
 
 
 def test_an_empty_room_has_no_narrow_place():

@@ -4,6 +4,10 @@ The filter begins an area anew where it does not know that it has been there. Wi
 as a whole it is known where each area lies, to centimetres: where two have seen the same ground
 for the most part, or the robot's path in one lies within the other, with no door between them,
 they are one.
+
+What was seen through a door to which the robot never drove is not the area's. Between two areas
+that the robot drove across from one to the other such a door is known; between others every
+opening as wide as a door may be one, and ends the ground (`sure`).
 """
 
 from __future__ import annotations
@@ -29,6 +33,7 @@ if TYPE_CHECKING:
 BEYOND = 2.0  # metres of path behind a door that are no mere turn in it
 BEGAN = 0.5  # metres from an area's origin, where its path begins behind a door
 SQUARE = 0.2  # metres: ground of several areas is compared by such squares
+WAY = 5.0  # metres of either one's path on the other's ground with which two are one place
 _MANY = 1 << 31
 
 
@@ -131,19 +136,35 @@ def together(ground: Sequence[Ground]) -> float:
     return sum(one.size for one in ground) * once / every
 
 
-def one_place(ground: Sequence[Ground], share: float) -> list[tuple[int, int]]:
+def one_place(
+    ground: Sequence[Ground], sure: Sequence[Ground], across: set[tuple[int, int]], share: float
+) -> list[tuple[int, int]]:
     """Pairs (a, b), a < b, of areas that have more than a share of their ground in common.
 
-    That is of the smaller one's, or of the path in one of them.
+    That is of the smaller one's, or of the path in one of them. Two that lie side by side in a
+    long place may have less, but `WAY` metres of either one's path.
+
+    Args:
+        ground: of every area, within the doors that are known.
+        sure: of every area, within all openings as wide as a door.
+        across: pairs (a, b), a < b, of which the robot drove from one into the other.
+        share: of the ground.
     """
     low, high = _bounds(ground)
     pairs: list[tuple[int, int]] = []
     for a, one in enumerate(ground):
         meet = (low[a] <= high).all(axis=1) & (low <= high[a]).all(axis=1)
         meet[: a + 1] = False
-        others = np.flatnonzero(meet).tolist()
-        pairs += [(a, b) for b in others if _alike(one, ground[b]) > share]
+        for b in np.flatnonzero(meet).tolist():
+            seen = (one, ground[b]) if (a, b) in across else (sure[a], sure[b])
+            if _alike(*seen) > share or _way_in_common(sure[a], sure[b]) > WAY:
+                pairs.append((a, b))
     return pairs
+
+
+def _way_in_common(a: Ground, b: Ground) -> float:
+    """Metres of path in either area that lie in the other, the less of the two."""
+    return SQUARE * min(_common(a.path, b.seen), _common(b.path, a.seen))
 
 
 def _alike(a: Ground, b: Ground) -> float:

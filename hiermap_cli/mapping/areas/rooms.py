@@ -89,7 +89,7 @@ def decide(
         if case.evidence(members) < doors.min_evidence * needed(portals[members[0]].width):
             case.refuse(members, "too little wall beside it, over all crossings")
     if placed:
-        _join_by_ground(case, places, frames, config)
+        _join_by_ground(case, places, frames, config, doors.max_width)
         size = _size_by_ground(case, places, frames, config)
     else:
         size = _size_by_parts(case, areas, places, config)
@@ -103,17 +103,22 @@ def decide(
     return case.closed()._replace(paths=tuple(one.way for one in ground))
 
 
-def _join_by_ground(case: _Case, places: Places, frames: Array, config: AreaConfig) -> None:
+def _join_by_ground(
+    case: _Case, places: Places, frames: Array, config: AreaConfig, widest_door: float
+) -> None:
     """Join areas that have seen the same ground; the doors are those not yet refused.
 
     A door that does not part the ground of the two areas that it joins is none; and one that is
     refused leaves others more in common.
     """
+    driven = [p for p in case.portals if p.kind in ("door", "same", "size")]
+    across = {(min(p.a, p.b), max(p.a, p.b)) for p in driven}
     ways = -1
     while ways != len(case.candidates):
         ways = len(case.candidates)
         ground = grounds(places, frames, case.bars(), config.opening)
-        for a, b in one_place(ground, config.one_place):
+        sure = grounds(places, frames, case.bars(), widest_door)
+        for a, b in one_place(ground, sure, across, config.one_place):
             case.join(a, b)
         case.refuse_rounded()
 

@@ -26,6 +26,7 @@ from hiermap_cli.mapping.portals import (
     anchor_index,
     door_frame,
 )
+from hiermap_cli.mapping.topology.again import door_missed, door_of
 from hiermap_cli.mapping.topology.looks import LookRecord
 from hiermap_cli.mapping.topology.lost import Place, Search
 from hiermap_cli.mapping.topology.passages import (
@@ -34,7 +35,6 @@ from hiermap_cli.mapping.topology.passages import (
     PassageDetector,
     Trace,
     aligned,
-    needed,
 )
 from hiermap_cli.mapping.topology.places import AT_HOME, NEAR_BY, Places
 
@@ -115,13 +115,19 @@ class Crossings:
             return self.current
         passage = self._detector.passed(self.trace)
         if passage is not None and not self._doors.leads_out(passage.frame):
-            if passage.evidence >= self.config.doors.min_evidence * needed(passage.width):
-                self._enter_new(now, "door", passage)
+            door = door_of(passage, self._detector, self.trace, self.config.doors)
+            if door is not None and not self._doors.leads_out(door.frame):
+                self._enter_new(now, "door", door)
                 return self.current
             self._event(now, "door_refused", area=self._name(), **_figures(passage))
         known = self._recognise(now)
         if known is not None:
-            self._known_again(now, known)
+            kind = self._link(known)
+            missed = door_missed(self.trace, self.config.doors) if kind == "open" else None
+            if missed is not None and not self._doors.leads_out(missed.frame):
+                self._enter_new(now, "door", missed)
+            else:
+                self._known_again(now, known, kind)
             return self.current
         c = self.config.areas
         far = math.hypot(robot[0], robot[1]) > c.max_extent
@@ -302,20 +308,24 @@ class Crossings:
             found |= more
         return found
 
-    def _known_again(self, now: Passing, known: Recognised) -> None:
-        """On in an area recognised by its walls, which the robot is now known to be in.
-
-        The robot is placed there as uncertain as such a pose is, and both areas keep it as an
-        anchor: a link that no door explains, and a loop of the environment level.
-        """
-        here, there = self.current, known.area
-        region = self.places.region(there, self.areas[there], self.portals)
+    def _link(self, known: Recognised) -> PortalKind:
+        """Whether the present area is the same as that which is known again."""
+        region = self.places.region(known.area, self.areas[known.area], self.portals)
         young = self._all_along_in(region, known.R_h_c)
         if self._apart and self._began:
             # It has gone through no door since it was lost, if it was mostly where that area is.
             poses = [se2.compose(known.R_h_c, pose) for pose in self.trace.poses]
             inside = [region.contains(pose[:2]) for pose in poses]
             young = 2 * sum(inside) > len(inside)
+        return "same" if young else "open"
+
+    def _known_again(self, now: Passing, known: Recognised, kind: PortalKind) -> None:
+        """On in an area recognised by its walls, which the robot is now known to be in.
+
+        The robot is placed there as uncertain as such a pose is, and both areas keep it as an
+        anchor: a link that no door explains, and a loop of the environment level.
+        """
+        here, there = self.current, known.area
         self.places.look(here, self.trace, -1.0)
         left, anchor_a = add_anchor(self.area, now.key)
         self.areas[here] = left
@@ -330,7 +340,6 @@ class Crossings:
         P[3 : 3 + m, 3 : 3 + m] = C_parameters
         found = replace(found, parameters=V.parameters, covariance=P)
         self.areas[there], anchor_b = add_anchor(replace(other, V=found), now.key)
-        kind: PortalKind = "same" if young else "open"
         link = Portal(here, anchor_a, there, anchor_b, kind, np.zeros(3), 0.0, 0.0, 0.0)
         lost = [i for i, p in enumerate(self.portals) if p.kind == "lost" and p.b in self._apart]
         if lost:
@@ -341,7 +350,7 @@ class Crossings:
         else:
             self.portals.append(link)
         since = int(np.searchsorted(self.trace.travelled, self.trace.entered))
-        self._go(there, V.robot)
+        self._go(there, V.robot, through=False)
         self._doors.replay(self.trace.poses[since:])
         self._event(
             now,
@@ -354,13 +363,17 @@ class Crossings:
             walls=known.walls,
         )
 
-    def _go(self, area: int, R_here_r: Array) -> None:
-        """On in another area, where the robot is placed; in the one left it was at `R_here_r`."""
+    def _go(self, area: int, R_here_r: Array, *, through: bool = True) -> None:
+        """On in another area, where the robot is placed; in the one left it was at `R_here_r`.
+
+        through: it has gone there by a door just now, which is not told again.
+        """
         self.current = area
         R_there_here = se2.compose(self.area.V.robot, se2.invert(R_here_r))
         self.trace.move(R_there_here)
         self._detector.move(R_there_here)
-        self._detector.forget_before(self.trace.length)
+        if through:
+            self._detector.forget_before(self.trace.length)
         self._doors.set(area, self.areas, self.portals)
         self._recogniser.set(area, self.areas, self.portals, self.trace.length)
         joined = self._reached(area, ("door", "open", "same", "size"))

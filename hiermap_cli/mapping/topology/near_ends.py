@@ -69,6 +69,11 @@ class NearEnds:
         first = self._starts[scan] if scan < len(self._starts) else self._stop
         return self._xy[:, first : self._stop].T
 
+    def of(self, scan: int) -> Array:
+        """The points (n, 2) of one scan."""
+        stop = self._starts[scan + 1] if scan + 1 < len(self._starts) else self._stop
+        return self._xy[:, self._starts[scan] : stop].T
+
     def move(self, R_b_a: Array) -> None:
         """Into another frame, from which the present one is seen as `R_b_a` (3,)."""
         (x, y), (x_b, y_b, theta) = self.since(0).T, R_b_a.tolist()

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.topology.chords import chord_frame, narrowest_chord
 from hiermap_cli.mapping.topology.near_ends import NearEnds
 from hiermap_cli.mapping.topology.passers import Passers, gone_over
 
@@ -38,11 +39,6 @@ NEAR_APART = 0.3  # metres and radians, together, between scans whose ends tell 
 SAMPLE = 0.12  # metres of path between the points at which its width is taken
 LAG = 0.3  # metres of path beyond a point before its width is taken
 BESIDE = 0.4  # metres of path within which a narrow place is the narrowest, and told once
-WIDEST = 1.6  # metres from a point of the path in which a jamb is looked for
-SECTORS = 48
-OPPOSITE = 2  # sectors by which the two jambs may miss opposite directions
-# The sectors that lie across from each.
-ACROSS = (np.arange(SECTORS)[:, None] + np.arange(-OPPOSITE, OPPOSITE + 1) + SECTORS // 2) % SECTORS
 # Metres across the line and radians by which a frame is moved to lie along walls, in two rounds.
 COARSE = tuple((0.0, 0.2 * k) for k in (0, 1, -1, 2, -2, 3, -3))
 FINE = tuple((offset, 0.1 * k) for offset in (0.0, 0.1, -0.1) for k in (0, 1, -1))
@@ -171,6 +167,15 @@ class Trace:
             self.sights, self.near,
         )  # fmt: skip
 
+    def at(self, s: float) -> tuple[Array, Array]:
+        """The point (2,) of the path at `s` metres of it, and the way (2,) it goes there."""
+        i = min(max(bisect_left(self.travelled, s), 1), len(self.poses) - 1)
+        a, b = self.poses[i - 1][:2], self.poses[i][:2]
+        span = self.travelled[i] - self.travelled[i - 1]
+        f = (s - self.travelled[i - 1]) / span if span > 0 else 1.0
+        way = b - a
+        return a + min(max(f, 0.0), 1.0) * way, way
+
     def rays(self, start: float) -> tuple[Array, Array]:
         """Origins and ends (n, 2) of all beams since `start` metres of path."""
         first = int(np.searchsorted(self.travelled, start))
@@ -218,11 +223,7 @@ class PassageDetector:
     def _take(self, trace: Trace, s: float) -> None:
         if len(trace.poses) < 2:
             return
-        i = min(max(bisect_left(trace.travelled, s), 1), len(trace.poses) - 1)
-        a, b = trace.poses[i - 1][:2], trace.poses[i][:2]
-        span = trace.travelled[i] - trace.travelled[i - 1]
-        f = (s - trace.travelled[i - 1]) / span if span > 0 else 1.0
-        point = a + min(max(f, 0.0), 1.0) * (b - a)
+        point, heading = trace.at(s)
         recent = bisect_left(trace.travelled, s - NEAR)
         most = self.config.max_width + self.config.widening
         ends = trace.near.since(recent)
@@ -234,7 +235,7 @@ class PassageDetector:
         self.at.append(s)
         self.width.append(width)
         self.jambs.append(jambs)
-        self.heading.append(b - a)
+        self.heading.append(heading)
         if len(self.at) > 3 * self.config.reach / SAMPLE + 20:
             for kept in (self.at, self.width, self.jambs, self.heading):
                 del kept[0]
@@ -258,16 +259,32 @@ class PassageDetector:
             return None
         if min(max(before), max(after)) < width[i] + c.widening:
             return None
-        frame = _frame(self.jambs[i], self.heading[i])
-        if se2.between(frame, trace.poses[-1])[1] < STAND_OFF:
-            return None
-        if abs(np.sin(np.arctan2(*self.heading[i][::-1]) - frame[2])) < STRAIGHT:
+        frame = chord_frame(self.jambs[i], self.heading[i])
+        if not _crossed(frame, self.heading[i], trace):
             return None
         self._last = at[i] + BESIDE
-        if _came_by(frame, width[i], trace, at[i]):
-            return None
-        frame, wall, opened = aligned(frame, width[i], *trace.rays(at[i] - 4.0))
-        return Passage(frame, width[i], at[i], wall, opened)
+        return passage_between(self.jambs[i], self.heading[i], width[i], at[i], trace)
+
+
+def passage_between(
+    jambs: Array, heading: Array, width: float, travelled: float, trace: Trace
+) -> Passage | None:
+    """The narrow place between two jambs (2, 2), passed at so many metres of path that way (2,).
+
+    None where the robot has not clearly gone through, or only come back.
+    """
+    frame = chord_frame(jambs, heading)
+    if not _crossed(frame, heading, trace) or _came_by(frame, width, trace, travelled):
+        return None
+    frame, wall, opened = aligned(frame, width, *trace.rays(travelled - 4.0))
+    return Passage(frame, width, travelled, wall, opened)
+
+
+def _crossed(frame: Array, heading: Array, trace: Trace) -> bool:
+    """Whether the robot is beyond the line, and has not merely gone along it."""
+    if se2.between(frame, trace.poses[-1])[1] < STAND_OFF:
+        return False
+    return bool(abs(np.sin(np.arctan2(*heading[::-1]) - frame[2])) >= STRAIGHT)
 
 
 def _came_by(frame: Array, width: float, trace: Trace, travelled: float) -> bool:
@@ -288,50 +305,6 @@ def needed(width: float) -> float:
     near each other have some wall or other beside them.
     """
     return max(1.0, width)
-
-
-def narrowest_chord(point: Array, ends: Array, most: float = 2.0 * WIDEST) -> tuple[float, Array]:
-    """The narrowest chord through a point between beams' ends: its length, its ends (2, 2).
-
-    Ends beyond `WIDEST` do not count: the longest chord is twice that. Where none is as short as
-    `most` the longest is told, with its ends in the point.
-    """
-    x, y = ends[:, 0] - point[0], ends[:, 1] - point[1]
-    r2 = x * x + y * y
-    shortest = math.sqrt(r2.min(initial=WIDEST * WIDEST))
-    if 2.0 * shortest > most:
-        return 2.0 * WIDEST, np.array((point, point))
-    # Even with the nearest end of all, one farther than this makes a chord that is too long.
-    near = (r2 < min(WIDEST, most - shortest) ** 2).nonzero()[0]
-    x, y, r = x[near], y[near], np.sqrt(r2[near])
-    sector = ((np.arctan2(y, x) + np.pi) * (SECTORS / (2.0 * np.pi))).astype(np.int64)
-    nearest = np.full(SECTORS + 1, WIDEST)
-    np.minimum.at(nearest, sector, r)
-    nearest[0] = min(nearest[0], nearest[SECTORS])  # where the angle is pi
-    across = nearest[ACROSS]
-    chord = nearest[:SECTORS] + across.min(axis=1)
-    i = int(chord.argmin())
-    if chord[i] > most:
-        return 2.0 * WIDEST, np.array((point, point))
-    j = int(ACROSS[i, across[i].argmin()])
-    jambs = np.empty((2, 2))
-    for k, b in enumerate((j, i)):
-        if nearest[b] < WIDEST:
-            at = ((r == nearest[b]) & (sector % SECTORS == b)).argmax()
-            jambs[k] = point[0] + x[at], point[1] + y[at]
-        else:
-            angle = 2.0 * np.pi * (b + 0.5) / SECTORS - np.pi
-            jambs[k] = point + WIDEST * np.array([np.cos(angle), np.sin(angle)])
-    return float(chord[i]), jambs
-
-
-def _frame(jambs: Array, heading: Array) -> Array:
-    along = jambs[1] - jambs[0]
-    theta = float(np.arctan2(along[1], along[0]))
-    if along[0] * heading[1] - along[1] * heading[0] < 0.0:
-        theta += np.pi
-    middle = jambs.mean(axis=0)
-    return np.array([middle[0], middle[1], se2.wrap(np.array(theta))])
 
 
 def aligned(frame: Array, width: float, origins: Array, ends: Array) -> tuple[Array, Array, Array]:
