@@ -162,6 +162,34 @@ def test_failed_odometry_says_little_and_nothing_of_the_calibration():
     np.testing.assert_array_equal(terms.J[1, :, 6:9], 0.0)
 
 
+def test_noise_of_the_readings_bends_no_calibration():
+    """True steps and noisy readings of them, most of them straight ahead: the noise of a heading
+    that does not turn is no rotation whose scale could be told."""
+    rng, n, config = np.random.default_rng(4), 3000, OdometryConfig()
+    told = np.column_stack((np.full(n, 0.2), np.zeros(n), np.where(np.arange(n) % 5, 0.0, 0.2)))
+    M = motions(told, PARAMETERS, config)
+    poses = np.zeros((n + 1, 3))
+    for i in range(n):
+        poses[i + 1] = se2.compose(poses[i], M.pose[i])
+    noise = np.linalg.cholesky(M.covariance) @ rng.standard_normal((n, 3, 1))
+    read = se2.compose(told, se2.exp(noise[..., 0]))
+    state, keyscans, _, _ = scene()
+    keyscans = keyscans._replace(
+        increments=np.vstack((np.zeros(3), read)), trusted=np.ones(n + 1, dtype=bool)
+    )
+    parameters = np.zeros(4)
+    for _ in range(8):
+        state = state._replace(poses=poses, parameters=parameters)
+        terms = problem.odometry_terms(state, keyscans, config, 1.0, FAR)
+        J = terms.J[:, :, 6:]
+        JW = np.einsum("nij,nik->njk", J, terms.information)
+        H = np.einsum("njk,nkl->jl", JW, J)
+        parameters = parameters - np.linalg.solve(H, np.einsum("njk,nk->j", JW, terms.e))
+    sigma = np.sqrt(np.diag(np.linalg.inv(H)))
+    assert (np.abs(parameters - PARAMETERS) < 3.0 * sigma).all()
+    assert (sigma < 0.02).all()
+
+
 def test_noise_is_what_the_residuals_say():
     """Residuals drawn with other variances than were taken: each kind gets its own factor."""
     rng = np.random.default_rng(3)

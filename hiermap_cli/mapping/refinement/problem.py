@@ -269,9 +269,9 @@ def odometry_terms(
     n = len(step)
     M = motions(told, state.parameters, config)
     e = se2.log(se2.compose(se2.invert(M.pose), step))
-    made = motions(uncalibrated(step, told, state.parameters), state.parameters, config)
-    Q = factor * made.covariance
-    by_parameters = made.by_parameters
+    made = uncalibrated(step, state.parameters)
+    by_parameters = motions(made, state.parameters, config).by_parameters
+    Q = factor * motions(at_least_half(made, told), state.parameters, config).covariance
     failed = ~keyscans.trusted[1:]
     if failed.any():
         spread = np.square([config.fault_sigma_xy, config.fault_sigma_xy, config.fault_sigma_theta])
@@ -292,12 +292,8 @@ def odometry_terms(
     return Terms(i, index, J, e, information, chi2, i[:, None])
 
 
-def uncalibrated(step: Array, told: Array, parameters: Array) -> Array:
-    """The increments (n, 3) that odometry without noise would have told of these steps.
-
-    A step that is much shorter than what was told is no better a measure of the noise than the
-    half of it.
-    """
+def uncalibrated(step: Array, parameters: Array) -> Array:
+    """The increments (n, 3) that odometry without noise would have told of these steps."""
     a, b, c, lever = parameters
     turn = step[:, 2]
     # Of the point about which odometry turns.
@@ -310,10 +306,17 @@ def uncalibrated(step: Array, told: Array, parameters: Array) -> Array:
         half = 0.5 * (turn - dtheta)
         cos_h, sin_h = np.cos(half), np.sin(half)
         dx, dy = cos_h * chord_x + sin_h * chord_y, cos_h * chord_y - sin_h * chord_x
-    short = np.hypot(dx, dy) < 0.5 * np.hypot(told[:, 0], told[:, 1])
-    dx, dy = np.where(short, 0.5 * told[:, 0], dx), np.where(short, 0.5 * told[:, 1], dy)
-    little = np.abs(dtheta) < 0.5 * np.abs(told[:, 2])
-    return np.column_stack((dx, dy, np.where(little, 0.5 * told[:, 2], dtheta)))
+    return np.column_stack((dx, dy, dtheta))
+
+
+def at_least_half(made: Array, told: Array) -> Array:
+    """Increments (n, 3) as they were made, or half of what was told where that is more.
+
+    A step that is much shorter than what was told is no better a measure of the noise than that.
+    """
+    short = np.hypot(made[:, 0], made[:, 1]) < 0.5 * np.hypot(told[:, 0], told[:, 1])
+    little = np.abs(made[:, 2]) < 0.5 * np.abs(told[:, 2])
+    return np.where(np.column_stack((short, short, little)), 0.5 * told, made)
 
 
 def stepped(state: State, x: Array) -> State:
