@@ -268,7 +268,7 @@ class LandmarkConfig(Section):
         6.0, description="of the ways from both ends to the vertex; more, and walls do not touch"
     )
     corner_known: Positive = Field(
-        0.15, description="metres; no wall may stop shorter of the vertex, by two sigmas of its end"
+        0.1, description="metres; no wall may stop shorter of the vertex, by two sigmas of its end"
     )
     parallel: Positive = Field(0.12, description="radians between walls that count as parallel")
     door_min_width: Positive = Field(0.6, description="metres between jambs")

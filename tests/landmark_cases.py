@@ -44,7 +44,7 @@ def lines_of(
     *,
     kind: Sequence[Sequence[int]] | None = None,
     rng: np.random.Generator | None = None,
-    sigma: float = 0.01,
+    sigma: float = 0.005,
     passages: np.ndarray = NO_PASSAGES,
 ) -> LineSet:
     """Segments (n, 2, 2) as lines, all ends true unless `kind` says otherwise, with a joint

@@ -30,7 +30,7 @@ CONFIG = LandmarkConfig()
 SHIFT = np.array([0.4, -0.7, 0.9])
 
 
-def room_with_ends(rng, coordinates="invariant", sigma=0.01) -> AreaMap:
+def room_with_ends(rng, coordinates="invariant", sigma=0.005) -> AreaMap:
     """A room of 5 x 4 m with a door in its first wall: two of five walls are in line.
 
     The covariance is full, but for the ends' y and theta, which are their walls' by birth.
@@ -45,9 +45,9 @@ def room_with_ends(rng, coordinates="invariant", sigma=0.01) -> AreaMap:
         ]
     )
     half = [1.0, 1.05, 2.0, 2.5, 2.0]
-    ends = [(0, 1), (1, 0), (0, 0), (2, 0), (3, 0), (4, 0)]
-    along = np.zeros((6, 3))
-    along[:, 0] = [1.0, -1.05, -1.0, -2.0, -2.5, -2.0]
+    ends = [(wall, side) for wall in range(5) for side in (0, 1)]
+    along = np.zeros((10, 3))
+    along[:, 0] = np.repeat(half, 2) * np.tile([-1.0, 1.0], 5)
     poses = np.concatenate(
         ([[2.0, 1.5, 0.4]], walls, se2.compose(walls[[wall for wall, _ in ends]], along))
     )

@@ -14,16 +14,24 @@ def test_walls_that_hardly_differ_or_do_not_meet_are_no_corner():
     assert not found(lines_of(flat), "corner_concave")
     apart = np.array([[[-4.0, 0.0], [-0.5, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
     assert not found(lines_of(apart), "corner_concave")
-    near = np.array([[[-4.0, 0.0], [-0.3, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
+    near = np.array([[[-4.0, 0.0], [-0.1, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
     assert not found(lines_of(near), "corner_concave")  # it ends before
+
+
+def test_a_wall_not_seen_to_its_end_makes_a_convex_corner_but_no_concave_one():
+    """The walls of a convex corner hide each other; those of a concave one do not."""
     not_to_its_end = [[END_OPEN, END_OPEN], [END_FREE, END_FREE]]
-    assert not found(lines_of(near, kind=not_to_its_end), "corner_concave")
-    nearer = np.array([[[-4.0, 0.0], [-0.1, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
-    assert not found(lines_of(nearer), "corner_concave")
-    assert found(lines_of(nearer, kind=not_to_its_end), "corner_concave")
-    # Nothing says that either of the walls ends there.
     both_open = [[END_OPEN, END_OPEN], [END_OPEN, END_OPEN]]
-    assert not found(lines_of(nearer, kind=both_open), "corner_concave")
+    for short, expected in ((0.0, True), (0.09, True), (0.12, False)):
+        convex = np.array([[[-4.0, 0.0], [-short, 0.0]], [[0.0, 0.0], [0.0, -3.0]]])
+        assert bool(found(lines_of(convex, kind=not_to_its_end), "corner_convex")) == expected
+        # Nothing says that either of the walls ends there.
+        alone = found(lines_of(convex, kind=both_open), "corner_convex")
+        assert bool(alone) == (short == 0.0)
+    for concave in (ROOM[:2], ROOM[:2] - np.array([[[0.0, 0.0], [0.03, 0.0]], [[0.0, 0.0]] * 2])):
+        assert found(lines_of(concave), "corner_concave")
+        for kind in (not_to_its_end, both_open, [[END_FREE, END_FREE], [END_OPEN, END_FREE]]):
+            assert not found(lines_of(concave, kind=kind), "corner_concave")
 
 
 def test_an_edge_before_a_wall_is_no_corner():
@@ -31,8 +39,7 @@ def test_an_edge_before_a_wall_is_no_corner():
     short = np.array([[[-4.0, 0.0], [-0.045, 0.0]], [[0.0, 0.0], [0.0, 3.0]]])
     assert found(lines_of(short), "corner_concave")
     short[1, 0, 1] = -0.04
-    both_end = [[END_OPEN, END_FREE], [END_FREE, END_OPEN]]
-    assert not found(lines_of(short, kind=both_end), "corner_concave")
+    assert not found(lines_of(short), "corner_concave")
 
 
 def test_an_end_that_is_hardly_known_is_no_corners():

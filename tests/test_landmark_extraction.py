@@ -16,6 +16,7 @@ from hiermap_cli.simulation.raycast import RayCaster
 
 CONFIG = Config()
 LASER = LaserGeometry(-np.pi, np.radians(1.0), 360, 0.05, 20.0)
+FINE = LaserGeometry(-np.pi, np.radians(0.5), 720, 0.05, 20.0)
 MIDDLE = np.array([3.0, 2.0, 0.3])  # from where all corners are well seen
 POSE = np.array([2.0, 1.5, 0.3])
 SCANS = 300
@@ -25,14 +26,14 @@ DOOR = np.array([5.9, 2.0])
 SPACING = np.radians(1.0) * 5.0  # metres between beams along the door's wall, at most
 
 
-def scans_at(pose, count, sigma, seed=0):
+def scans_at(pose, count, sigma, seed=0, laser=LASER):
     world = world_of(TWO_ROOMS)
-    clean = RayCaster(world.plan.faces(), LASER, Mount()).ranges(pose[None], None, 0.0)
-    noise = np.random.default_rng(seed).standard_normal((count, LASER.beams))
+    clean = RayCaster(world.plan.faces(), laser, Mount()).ranges(pose[None], None, 0.0)
+    noise = np.random.default_rng(seed).standard_normal((count, laser.beams))
     return (clean + sigma * noise).astype(np.float32)
 
 
-def landmarks_in(ranges):
+def landmarks_in(ranges, laser=LASER):
     """For each scan its lines, and the landmarks found in them."""
     count = len(ranges)
     block = ScanBlock(
@@ -40,7 +41,7 @@ def landmarks_in(ranges):
         ranges=ranges,
         odometry=np.zeros((count, 3)),
         has_odometry=np.ones(count, dtype=bool),
-        laser=LASER,
+        laser=laser,
         mount=Mount(),
     )
     segments = segment_block(block, CONFIG.laser, CONFIG.segmentation)
@@ -50,7 +51,7 @@ def landmarks_in(ranges):
 
 
 def test_a_scan_without_noise_shows_the_corners_and_the_door_where_they_are():
-    ((lines, groups),) = landmarks_in(scans_at(POSE, 1, 0.0))
+    ((lines, groups),) = landmarks_in(scans_at(POSE, 1, 0.0, laser=FINE), FINE)
     found = {}
     for rule, group in groups:
         R_w_l = se2.compose(POSE, rule.extract(lines, group).pose)
@@ -78,9 +79,10 @@ def test_a_wall_seen_too_flatly_is_not_known_to_reach_the_next():
 
 
 def test_covariances_of_corners_tell_the_truth():
+    """With beams near enough to each other that one noisy scan tells that the walls meet."""
     errors = {k: [] for k in range(4)}
     headings = {}
-    for lines, groups in landmarks_in(scans_at(MIDDLE, SCANS, 0.01)):
+    for lines, groups in landmarks_in(scans_at(MIDDLE, SCANS, 0.01, laser=FINE), FINE):
         for rule, group in groups:
             if group.kind != "corner_concave":
                 continue

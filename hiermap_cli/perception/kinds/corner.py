@@ -61,6 +61,10 @@ class Corners:
         An edge before a wall fails by both: it stops short, and beyond it the wall goes on.
         Where neither wall truly ends there, half of that chi-square is allowed. An end must be
         known to be near the vertex: one that fits because it may be anywhere tells nothing.
+
+        Who sees the vertex of a concave corner sees both walls end there. Where one of them only
+        went out of sight, it may go on behind an edge that stands before it. The walls of a
+        convex corner hide each other, and of them one end may be open.
         """
         turn = wrap(lines.theta[None, :] - lines.theta[:, None])
         wide = (np.abs(turn) > config.min_angle) & (np.abs(turn) < np.pi - config.min_angle)
@@ -84,6 +88,7 @@ class Corners:
         cost = (short**2 / (rough**2 + sigmas**2)).sum(axis=1)
         near = cost < np.where(true.any(axis=1), 1.0, 0.5) * config.corner_chi2
         near &= (short + 2.0 * sigmas < config.corner_known).all(axis=1)
+        near &= true.all(axis=1) | (turn[i, j] < 0.0)
         i, j, cost = i[near], j[near], cost[near]
         candidates = [
             (float(c), (("in", a), ("out", b)))
