@@ -157,3 +157,30 @@ def test_several_constellations_in_one_loop_need_no_witness_where_they_are_expec
     sigma = np.sqrt(long_way.relative(np.array([2]), np.array([57]))[0, 0, 0])
     off = loops_of(long_way, [(2, 57)], (1.5 * sigma, 0.0, 0.0), TIGHT)
     assert not believed(verdict_of(off, long_way, **strong)).any()
+
+
+AHEAD, BEHIND = [(2, 57), (5, 54), (6, 53), (7, 52), (8, 51)], [(9, 50), (12, 47), (13, 46)]
+
+
+def test_groups_that_only_the_path_between_them_parts_are_believed_last(long_way):
+    """The path may be wrong; of loops of one fragment that disagree one must be."""
+    far_ahead = loops_of(long_way, AHEAD, (0.1, 0.0, 0.0), TIGHT)
+    behind = [*BEHIND, (14, 45), (15, 44), (16, 43)]
+    far_behind = loops_of(long_way, behind, (2.1, 0.0, 0.0), TIGHT)
+    verdict = verdict_of(joined((far_ahead, far_behind)), long_way)
+    contradicted = verdict.rival >= LOOPS.second * verdict.support
+    assert contradicted.any()
+    assert not (verdict.sure | verdict.borne)[contradicted].any()
+    assert verdict.last[contradicted].all()
+    again = loops_of(long_way, behind, (-1.9, 0.0, 0.0), TIGHT)
+    verdict = verdict_of(joined((far_behind, again)), long_way)
+    assert not verdict.last.any()
+
+
+def test_few_are_not_believed_against_the_path(long_way):
+    a = loops_of(long_way, AHEAD[:2], (0.1, 0.0, 0.0), TIGHT)
+    b = loops_of(long_way, BEHIND[:2], (2.1, 0.0, 0.0), TIGHT)
+    verdict = verdict_of(joined((a, b)), long_way)
+    contradicted = verdict.rival >= LOOPS.second * verdict.support
+    assert contradicted.any()
+    assert not verdict.last[contradicted].any()

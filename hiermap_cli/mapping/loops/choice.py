@@ -4,6 +4,11 @@ One witness is none. Where the way there is known so well that the loop only say
 way is the second witness; every other loop needs one that joins other fragments to other
 fragments near by and asks for the same correction. Where another correction has nearly as much
 to say for itself, all of them wait.
+
+Loops of other fragments contradict each other by way of the path between them, and it may be the
+path that is wrong: the filter has matched what does not belong together, and nobody noticed. So
+when nothing else is left, loops with many witnesses are closed that no loop of their own
+fragments contradicts, and the graph tells whether they hold.
 """
 
 from __future__ import annotations
@@ -29,6 +34,7 @@ if TYPE_CHECKING:
 
 
 FIRST, NEXT = 3.0, 2.0  # how much less sure a loop may be than the surest, to be closed with it
+MANY = 4  # witnesses that may be right against the path
 
 
 class Verdict(NamedTuple):
@@ -36,9 +42,10 @@ class Verdict(NamedTuple):
 
     sure: the way there is a witness. borne: other loops are. witnesses: other loops that ask for
     the same, none of which shares a fragment with it. last: it is believed when nothing else is
-    left: borne by loops over so wide a stretch that it may be unlikely, or several witnesses in
-    one. support: metres of overlap that speak for its correction. rival: of
-    the correction nearest to it in support that contradicts it. sigma: metres, of the way there.
+    left: borne by loops over so wide a stretch that it may be unlikely, or by so many that the
+    path may be wrong, or several witnesses in one. support: metres of overlap that speak for its
+    correction. rival: of the correction nearest to it in support that contradicts it. sigma:
+    metres, of the way there.
     """
 
     sure: Mask
@@ -90,9 +97,9 @@ def judge(found: Found, ways: Ways, config: LoopConfig) -> Verdict:
     clean = found.crossing < config.witness_crossing
     apart = agree & clean[e] & clean[f] & (loops.i[e] != loops.i[f]) & (loops.j[e] != loops.j[f])
     witnesses = np.bincount(e[apart], minlength=n) + np.bincount(f[apart], minlength=n)
-    rival = np.zeros(n)
-    np.maximum.at(rival, e[against], support[f[against]])
-    np.maximum.at(rival, f[against], support[e[against]])
+    rival = _rival(against, e, f, support)
+    shared = (loops.i[e] == loops.i[f]) | (loops.j[e] == loops.j[f])
+    at_once = _rival(against & shared, e, f, support)
     known = ways.relative(loops.i, loops.j)
     near = position_variance(known, loops.R_i_j) < config.sure_sigma**2
     near &= known[:, 2, 2] < config.sure_sigma_angle**2
@@ -108,20 +115,30 @@ def judge(found: Found, ways: Ways, config: LoopConfig) -> Verdict:
     spread = np.zeros(n)
     for x in (e[apart], f[apart]):
         np.maximum.at(spread, x, _spread(loops, ways, e[apart], f[apart]))
-    clear = (second < config.second) & (rival < config.second * support)
     sigma = np.sqrt(position_variance(known, loops.R_i_j))
     # Where the gate is cut off, the true place may lie beyond it.
-    clear &= sigma < config.max_shift
+    single = (second < config.second) & (sigma < config.max_shift)
+    clear = single & (rival < config.second * support)
     borne = (witnesses > 0) & clean & clear
+    against_path = (witnesses >= MANY) & clean & single & (at_once < config.second * support)
+    wide = spread > config.witness_spread
     return Verdict(
         sure=near & clear,
         borne=borne & likely,
-        last=(borne & (spread > config.witness_spread)) | (_alone(found, distance, config) & clear),
+        last=((borne | against_path) & wide) | (_alone(found, distance, config) & clear),
         witnesses=witnesses,
         support=support,
         rival=rival,
         sigma=sigma,
     )
+
+
+def _rival(against: Mask, e: Index, f: Index, support: Array) -> Array:
+    """The most support that a loop has which contradicts one, (E,); pairs e, f that do."""
+    rival = np.zeros(len(support))
+    np.maximum.at(rival, e[against], support[f[against]])
+    np.maximum.at(rival, f[against], support[e[against]])
+    return rival
 
 
 def _alone(found: Found, distance: Array, config: LoopConfig) -> Mask:
