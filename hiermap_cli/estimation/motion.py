@@ -61,24 +61,22 @@ def motion(increment: Array, parameters: Array, config: OdometryConfig) -> Motio
     x = (1.0 + a) * (cos_h * dx - sin_h * dy)
     y = (1.0 + a) * (sin_h * dx + cos_h * dy)
 
-    # d (x, y, turn) / d parameters, then turned into the frame after the motion.
+    # d (x, y, turn) / d parameters, turned into the frame after the motion. `LASER_X`, the last
+    # one, is no column: it is told in that frame.
     cos_t, sin_t = math.cos(turn), math.sin(turn)
     columns = (
         (x / (1.0 + a), y / (1.0 + a), 0.0),
         (-0.5 * y * dtheta, 0.5 * x * dtheta, dtheta),
         (-0.5 * y * dx, 0.5 * x * dx, dx),
-        (0.0, 0.0, 0.0),
     )
     # Of the point about which odometry turns; the robot's origin is `lever` ahead of it.
     J = np.array(
         [
-            [cos_t * d_x + sin_t * d_y for d_x, d_y, _ in columns],
-            [cos_t * d_y - sin_t * d_x for d_x, d_y, _ in columns],
-            [d_turn for _, _, d_turn in columns],
+            [cos_t * d_x + sin_t * d_y for d_x, d_y, _ in columns] + [1.0 - cos_t],
+            [cos_t * d_y - sin_t * d_x + lever * d_turn for d_x, d_y, d_turn in columns] + [sin_t],
+            [d_turn for _, _, d_turn in columns] + [0.0],
         ]
     )
-    J[1] += lever * J[2]
-    J[:2, LASER_X] = 1.0 - cos_t, sin_t
 
     distance, angle = math.hypot(dx, dy), abs(dtheta)
     var_x = config.sigma_xy_per_sqrt_m**2 * distance + config.sigma_xy_per_sqrt_rad**2 * angle

@@ -200,7 +200,7 @@ def remove_objects(V: StochasticMap, keep: Index) -> StochasticMap:
     return replace(
         V,
         poses=V.poses[np.concatenate(([0], keep)).astype(np.int64)],
-        covariance=V.covariance[np.ix_(columns, columns)],
+        covariance=V.covariance.take(columns, axis=0).take(columns, axis=1),
     )
 
 

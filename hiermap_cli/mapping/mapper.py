@@ -156,7 +156,7 @@ class Mapper:
     ) -> None:
         """Use a scan; at_origin: it is a fragment's first, which the drive has not led into."""
         if not at_origin:
-            self._set(replace(drive.before, V=predict(drive.before.V, drive.motion)))
+            self._set(drive.before.with_map(predict(drive.before.V, drive.motion)))
         step, came = self._observe(now, None if at_origin else drive)
         drive = came or drive
         if missing:
@@ -250,7 +250,7 @@ class Mapper:
             left = self.trail.last_increment()
             self.trail.finish(self._motion)
             if left is not None:
-                self._set(replace(self.area, V=predict(self.area.V, self._motion(left))))
+                self._set(self.area.with_map(predict(self.area.V, self._motion(left))))
             self.crossings.finish()
 
     def _motion(self, increment: Array) -> Motion:

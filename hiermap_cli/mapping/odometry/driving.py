@@ -7,6 +7,7 @@ nothing of the calibration, and it is the walls that tell where the robot has co
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -94,7 +95,7 @@ class Driving:
         `area`, of that number, is where it was at the last key scan, `trail` the way up to now.
         """
         implausible = self._implausible(increment, number, trail)
-        far = np.hypot(increment[0], increment[1]) > self.stepper.config.relocation.max_distance
+        far = math.hypot(increment[0], increment[1]) > self.stepper.config.relocation.max_distance
         if implausible and self._overdue is not None and self._overdue.area == number:
             # What was missing comes all at once, and tells of where the robot was before.
             since = self._overdue
@@ -116,7 +117,7 @@ class Driving:
         """Note that odometry was missing on a drive, if the walls show that the robot moved."""
         self._carry.forget()
         moved = se2.between(drive.before.V.robot, after.V.robot)
-        if np.hypot(moved[0], moved[1]) > MOVED or abs(moved[2]) > MOVED:
+        if math.hypot(moved[0], moved[1]) > MOVED or abs(moved[2]) > MOVED:
             stamps_ns = drive.leg.stamps_ns
             self.stretches.begin(
                 "odometry_missing", stamps_ns[0], stamps_ns[-1], area=f"A{number + 1}"
@@ -129,9 +130,9 @@ class Driving:
         c = self.stepper.config.relocation
         stamp_ns, last_ns = self.direction.stamp_ns(), trail.last_stamp_ns()
         seconds = max(stamp_ns - last_ns, 1) * 1e-9
-        if np.hypot(increment[0], increment[1]) < max(c.max_speed * seconds, 0.3) and abs(
-            increment[2]
-        ) < max(c.max_turn_rate * seconds, 0.3):
+        dx, dy, turn = increment.tolist()
+        slow = math.hypot(dx, dy) < max(c.max_speed * seconds, 0.3)
+        if slow and abs(turn) < max(c.max_turn_rate * seconds, 0.3):
             return False
         self.stretches.note(
             "odometry_failed", last_ns, stamp_ns, area=f"A{number + 1}",
