@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import click
 import log_cases as cases
 import numpy as np
 import pytest
@@ -36,6 +37,15 @@ def same(first, second):
     assert [block.laser for block in first] == [block.laser for block in second]
     assert first[0].mount.flipped == second[0].mount.flipped
     np.testing.assert_allclose(first[0].mount.pose(), second[0].mount.pose(), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", sorted(cli.list_commands(click.Context(cli))))
+def test_examples_in_the_help_are_lines_of_their_own(name):
+    text = hiermap(name, "--help").stdout
+    assert "\\b" not in text
+    assert "\b" not in text
+    for line in text.splitlines():
+        assert line.count("hiermap " + name) <= 1
 
 
 # ----------------------------------------------------------------------- inspect

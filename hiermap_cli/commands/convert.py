@@ -4,39 +4,26 @@ from __future__ import annotations
 
 import sys
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from hiermap_cli.commands.boundary import one_line, session
+from hiermap_cli.commands.common_options import path_option, said_options
 from hiermap_cli.commands.options import InputOptions, log_options
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
 
 @click.command("convert", short_help="Write any log that can be read as a ROS 2 MCAP.")
 @log_options
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    metavar="X.mcap",
-    type=click.Path(path_type=Path),
-    help="File to write.",
-)
+@path_option("-o", "--output", metavar="X.mcap", required=True, help="File to write.")
 @click.option("--force", is_flag=True, help="Replace X.mcap if it exists.")
-@click.option(
-    "--config",
-    "config_file",
-    metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="Configuration whose input section counts.",
-)
+@path_option("--config", "config_file", help="Configuration whose input section counts.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Nothing on stderr but errors.")
-@click.option("-v", "--verbose", is_flag=True, help="Tracebacks on stderr.")
+@said_options()
 def command(
     logs: tuple[Path, ...],
     chosen: InputOptions,
@@ -48,7 +35,7 @@ def command(
     quiet: bool,
     verbose: bool,
 ) -> None:
-    r"""Write LOG as a ROS 2 MCAP, on which `run` gives the same model.
+    """Write LOG as a ROS 2 MCAP, on which `run` gives the same model.
 
     X.mcap gets the scans on /scan, the odometry on /odom and the laser's mount on /tf_static.
     Several LOGs are the parts of one recording.

@@ -40,7 +40,7 @@ def command(
     as_json: bool,
     verbose: bool,
 ) -> None:
-    r"""Say what is in LOG: topics, types, rates, gaps, clocks, the laser and its mount.
+    """Say what is in LOG: topics, types, rates, gaps, clocks, the laser and its mount.
 
     Several LOGs are the parts of one recording. The tables go to stdout, warnings to stderr.
 
