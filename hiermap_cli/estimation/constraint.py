@@ -67,7 +67,7 @@ class Jacobian(NamedTuple):
         HP += np.matmul(self.own[:, None], P_own)[:, 0]
         HPH = HP[:, :start] @ self.common.T
         HP_own = HP[:, start:].reshape(len(HP), n, 3).take(object_, axis=1)
-        HPH += np.einsum("ijc,jc->ij", HP_own, self.own)
+        HPH += np.matmul(HP_own.transpose(1, 0, 2), self.own[:, :, None])[:, :, 0].T
         return HP, HPH
 
 

@@ -56,8 +56,27 @@ def symmetrise(P: Array) -> Array:
 
 def gain(HP: Array, S: Array) -> Gain:
     """The gain of a measurement with noise independent of the state, from `H P` and S."""
-    L_inverse = np.linalg.inv(np.linalg.cholesky(S))
+    L_inverse = _inverse_factor(S)
     return Gain(HP, S, L_inverse, L_inverse @ HP)
+
+
+_ENDLESS = 1e300  # over all eigenvalues of an inverse covariance
+
+
+def _inverse_factor(S: Array) -> Array:
+    """`L^-1` of `S = L L^T`, (k, k), by one factorisation.
+
+    The factor of `[[S, 1], [1, c 1]]` has L in its upper left corner and `L^-T` below it; what
+    stands to the right of that, where c goes, is not asked for. For the few rows of a scan this
+    is faster than a factorisation and an inversion.
+    """
+    k = len(S)
+    both = np.zeros((2 * k, 2 * k))
+    both[:k, :k] = S
+    flat = both.ravel()
+    flat[2 * k * k :: 2 * k + 1] = 1.0
+    flat[2 * k * k + k :: 2 * k + 1] = _ENDLESS
+    return np.asarray(np.linalg.cholesky(both)[k:, :k].T)
 
 
 def robot_correction(gain: Gain, y: Array) -> Array:
