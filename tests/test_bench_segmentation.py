@@ -19,7 +19,7 @@ from hiermap_cli.perception.segmentation import segment_block
 pytestmark = pytest.mark.bench
 
 FR079 = DATA / "fr079" / "log.carmen.gz"
-BLOCK = 256
+BLOCK = 512
 
 
 def note(benchmark, blocks):

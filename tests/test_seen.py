@@ -9,8 +9,9 @@ import pytest
 from scan_cases import ROOM, block, scans
 
 from hiermap_cli.config import Config
+from hiermap_cli.estimation.noise import residual_factor
 from hiermap_cli.perception import seen as seen_module
-from hiermap_cli.perception.seen import SeenBlock
+from hiermap_cli.perception.seen import SeenBlock, parted
 from hiermap_cli.perception.segmentation import segment_block
 from hiermap_cli.perception.sight import sights
 from hiermap_cli.perception.views import scan_views
@@ -79,12 +80,19 @@ def test_the_refinement_needs_all_scans(looked):
     assert looked == [MANY]
 
 
-def test_every_scan_is_segmented_once_for_all(looked):
+def test_the_noise_is_told_by_all_scans_which_are_segmented_once(looked):
     one = driven()
     seen = SeenBlock(one, FILTER_ALONE)
-    segments = seen.every()
-    assert np.array_equal(segments.scan, segment_block(one, CONFIG.laser, CONFIG.segmentation).scan)
-    assert [len(seen.view(k).length) for k in range(MANY)] == np.bincount(
-        segments.scan, minlength=MANY
-    ).tolist()
+    fits = segment_block(one, CONFIG.laser, CONFIG.segmentation)
+    assert seen.laser_factor() == residual_factor(fits.chi2, fits.points - 2, CONFIG.noise) != 1.0
+    assert sum(len(seen.view(k).length) for k in range(MANY)) == len(fits.scan)
     assert looked == [MANY]
+
+
+def test_a_block_falls_into_parts_in_order():
+    one = driven()
+    parts = parted(one, FILTER_ALONE, 10)
+    assert [len(part.block) for part in parts] == [10, 10, 4]
+    for name in ("stamps_ns", "ranges", "odometry", "has_odometry"):
+        whole = np.concatenate([getattr(part.block, name) for part in parts])
+        assert np.array_equal(whole, getattr(one, name))

@@ -106,7 +106,7 @@ class Recording:
         self.watch = self._new_watch()
         yield from self.watch.records(self._in_order())
 
-    def blocks(self, size: int = 256) -> Iterator[ScanBlock]:
+    def blocks(self, size: int = 512) -> Iterator[ScanBlock]:
         """All scans in time order, in blocks of at most `size`, joined with odometry.
 
         Raises InputError at the end where no scan was read, or none with a valid range.

@@ -134,3 +134,14 @@ class ScanBlock:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    def part(self, places: slice | NDArray[np.int64]) -> ScanBlock:
+        """Some of the scans, as a block."""
+        return ScanBlock(
+            stamps_ns=self.stamps_ns[places],
+            ranges=self.ranges[places],
+            odometry=self.odometry[places],
+            has_odometry=self.has_odometry[places],
+            laser=self.laser,
+            mount=self.mount,
+        )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.estimation import motion as odometry_model
-from hiermap_cli.estimation.noise import NoiseScale, adapted, residual_factor
+from hiermap_cli.estimation.noise import NoiseScale, adapted
 from hiermap_cli.estimation.stochastic_map import Motion, initial_map, predict
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import EMPTY, AreaMap
@@ -25,7 +25,7 @@ from hiermap_cli.mapping.odometry.stretches import Stretches
 from hiermap_cli.mapping.topology.crossing import Crossings, Passing
 from hiermap_cli.mapping.topology.lost import moved, through_walls
 from hiermap_cli.mapping.trail import Trail
-from hiermap_cli.perception.seen import SeenBlock
+from hiermap_cli.perception.seen import SeenBlock, parted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 FORGET_EVERY = 10
-WARM_UP_BLOCKS = 16  # at most, however little the robot moves
+WARM_UP_BLOCKS = 16  # of `PART` scans at most, however little the robot moves
 
 
 @dataclass(slots=True)
@@ -380,21 +380,21 @@ def run_filter(
 def learn_noise(stream: Iterator[ScanBlock], config: Config) -> tuple[list[SeenBlock], NoiseScale]:
     """The blocks at the log's beginning, and how large the noise is by a first run over them.
 
-    So that the first walls are not entered with a noise that later proves wrong. The laser's is
-    told by the residuals of the first block's line fits.
+    So that the first walls are not entered with a noise that later proves wrong.
     """
     first: list[SeenBlock] = []
     if not config.noise.estimate or not config.noise.warm_up:
         return first, NoiseScale()
     scout = Mapper(config, noise_rate=config.noise.warm_up_rate)
     for block in stream:
-        seen = SeenBlock(block, config)
+        parts = parted(block, config)
         if not first:
-            fits = seen.every()
-            laser = residual_factor(fits.chi2, fits.points - 2, config.noise)
-            scout.noise = scout.noise._replace(laser=laser)
-        first.append(seen)
-        scout.take(block, seen)
-        if scout.counts.keys >= config.noise.warm_up or len(first) >= WARM_UP_BLOCKS:
+            scout.noise = NoiseScale(laser=parts[0].laser_factor())
+        first += parts
+        for seen in parts:
+            scout.take(seen.block, seen)
+            if scout.counts.keys >= config.noise.warm_up:
+                return first, scout.noise
+        if len(first) >= WARM_UP_BLOCKS:
             break
     return first, scout.noise

@@ -91,19 +91,20 @@ def arrange(block: ScanBlock, config: LaserConfig, max_range: float) -> Beams:
         ranges[ranges <= near] = np.nan
     first = np.full(len(ranges), 0 if step > 0 else width - 1, dtype=np.int64)
     ux, uy = np.cos(angles[:width]), np.sin(angles[:width])
-    # Views of one row: the same directions in every scan.
-    dx, dy = np.broadcast_to(ux[::step], ranges.shape), np.broadcast_to(uy[::step], ranges.shape)
     ranges = ranges[:, ::step]
     if cyclic:
         # Along a wall the range is convex, so that the farthest return lies at a wall's end.
         turned = np.argmax(np.where(np.isfinite(ranges), ranges, -1.0), axis=1)
         columns = (turned[:, None] + np.arange(width)) % width
-        ranges, dx, dy = (np.take_along_axis(v, columns, axis=1) for v in (ranges, dx, dy))
+        ranges = np.take_along_axis(ranges, columns, axis=1)
+        dx, dy = ux[::step].take(columns), uy[::step].take(columns)
         first = (first + step * turned) % width
+    else:
+        # The same directions in every scan.
+        dx, dy = np.tile(ux[::step], len(ranges)), np.tile(uy[::step], len(ranges))
     ranges = np.ascontiguousarray(ranges)
-    valid = np.isfinite(ranges)
-    cell = np.flatnonzero(valid)
-    r, dx, dy = ranges[valid], dx[valid], dy[valid]
+    cell = np.flatnonzero(np.isfinite(ranges))
+    r, dx, dy = (v.take(cell, mode="clip") for v in (ranges, dx, dy))
     return Beams(ranges, first, step, ux, uy, spacing, cyclic, far, cell, r * dx, r * dy, r, dx, dy)
 
 

@@ -40,8 +40,10 @@ def breakpoints(beams: Beams, laser: LaserConfig, config: SegmentationConfig) ->
     allowed = np.minimum(r[1:], r[:-1])
     allowed *= ratio[1] + 3.0 * np.sqrt(2.0) * laser.sigma_range_scale
     allowed += noise
-    across = np.diff(beams.x) ** 2
-    across += np.diff(beams.y) ** 2
+    across, term = np.diff(beams.x), np.diff(beams.y)
+    across *= across
+    term *= term
+    across += term
     gap = np.diff(cell)
     wide = np.flatnonzero(gap > 1)
     allowed[wide] *= ratio[np.minimum(gap[wide], len(steps) - 1)] / ratio[1]
@@ -64,19 +66,20 @@ def breakpoints(beams: Beams, laser: LaserConfig, config: SegmentationConfig) ->
 def _runs_on(beams: Beams, laser: LaserConfig, suspect: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether the jump from point i to i + 1 is one that a straight wall makes at its beams."""
     inside = (suspect >= 1) & (suspect + 2 < len(beams.cell))
-    i = np.clip(suspect, 1, len(beams.cell) - 3)
-    four = i[:, None] + np.arange(-1, 3)
-    inside &= beams.cell[four[:, 3]] - beams.cell[four[:, 0]] == 3
-    r = beams.r[four]
+    # The four points (4, K): two on either side of the jump.
+    four = np.minimum(np.maximum(suspect, 1), len(beams.cell) - 3) + np.arange(-1, 3)[:, None]
+    inside &= beams.cell.take(four[3]) - beams.cell.take(four[0]) == 3
+    r = beams.r.take(four)
     q = 1.0 / r
     noise = (laser.sigma_range + laser.sigma_range_scale * r) * q * q
+    noise *= noise
     twice = 2.0 * np.cos(beams.spacing)
-    left = q[:, 0] - twice * q[:, 1] + q[:, 2]
-    right = q[:, 1] - twice * q[:, 2] + q[:, 3]
-    bound_left = 3.0 * np.sqrt(noise[:, 0] ** 2 + 4.0 * noise[:, 1] ** 2 + noise[:, 2] ** 2)
-    bound_right = 3.0 * np.sqrt(noise[:, 1] ** 2 + 4.0 * noise[:, 2] ** 2 + noise[:, 3] ** 2)
+    left = q[0] - twice * q[1] + q[2]
+    right = q[1] - twice * q[2] + q[3]
+    bound_left = 3.0 * np.sqrt(noise[0] + 4.0 * noise[1] + noise[2])
+    bound_right = 3.0 * np.sqrt(noise[1] + 4.0 * noise[2] + noise[3])
     # The jump itself must stand out of the noise, or anything would be straight.
-    jump = np.abs(q[:, 2] - q[:, 1])
+    jump = np.abs(q[2] - q[1])
     decided = jump > 2.0 * np.maximum(bound_left, bound_right)
     fits = (np.abs(left) < bound_left) & (np.abs(right) < bound_right)
     return np.asarray(inside & decided & fits)
@@ -96,4 +99,8 @@ def shown_noise(beams: Beams) -> float:
     q = 1.0 / beams.r[middle[:, None] + np.array((-1, 0, 1))]
     left_over = q[:, 0] - 2.0 * np.cos(beams.spacing) * q[:, 1] + q[:, 2]
     error = np.abs(left_over) * beams.r[middle] ** 2
-    return float(np.median(error) / (0.6745 * np.sqrt(6.0)))
+    # Their median; numpy's own asks for every kind of array first.
+    half = len(error) // 2
+    error.partition((half - 1, half))
+    median = error[half] if len(error) % 2 else 0.5 * (error[half - 1] + error[half])
+    return float(median / (0.6745 * np.sqrt(6.0)))

@@ -54,10 +54,14 @@ def inner_moments(x: Array, y: Array, first: Index, last: Index) -> Array:
 
     The runs are apart, in order, and none is empty.
     """
-    # Every other of these runs is one asked for; the rest lies between.
-    bounds = np.stack((first, last + 1), axis=1).ravel()
-    out = run_moments(x, y, bounds[:-1] if bounds[-1] == len(x) else bounds)[:, ::2]
-    out[0] = last - first + 1
+    # What lies between two of these runs is summed up as well, and left out.
+    after = last + 1
+    apart = np.flatnonzero(np.append(after[:-1] != first[1:], after[-1:] != len(x)))
+    bounds = np.insert(first, apart + 1, after.take(apart))
+    place = np.arange(len(first))
+    place[1:] += np.cumsum(np.bincount(apart, minlength=len(first)))[:-1]
+    out = run_moments(x, y, bounds).take(place, axis=1)
+    out[0] = after - first
     return out
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.perception.beams import concatenated_ranges
-from hiermap_cli.perception.fitting import fit_moments, least_scatter, run_moments
+from hiermap_cli.perception.fitting import fit_moments, inner_moments, least_scatter
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -109,15 +109,15 @@ def merge(
     Segments of fewer than `min_points` are left out.
     """
     first, last = runs
-    sums = run_moments(beams.x, beams.y, first)
     solid = np.flatnonzero(last - first + 1 >= SOLID)
-    joined = _follow_on(beams, breaks, first[solid], last[solid])
+    first, last = first.take(solid), last.take(solid)
+    joined = _follow_on(beams, breaks, first, last)
     # Small runs without a neighbour are nobody's.
     beside = np.append(joined, False) | np.append(False, joined)
-    kept = np.flatnonzero(beside | (sums[0, solid] >= config.min_points))
-    solid = solid[kept]
-    first, last = first[solid], last[solid]
-    pieces = Pieces(sums[:, solid], first, last, first, last, np.arange(len(first)))
+    kept = np.flatnonzero(beside | (last - first + 1 >= config.min_points))
+    first, last = first.take(kept), last.take(kept)
+    sums = inner_moments(beams.x, beams.y, first, last)
+    pieces = Pieces(sums, first, last, first, last, np.arange(len(first)))
     if not len(first):
         return pieces
     state = _State(beams, pieces, laser, (ROUGH * config.split_floor) ** 2)

@@ -7,11 +7,11 @@ key scans is foretold by the odometry as it is told; where that was wrong, it is
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiermap_cli.estimation.noise import residual_factor
 from hiermap_cli.perception.segmentation import segment_block
 from hiermap_cli.perception.sight import sights
 from hiermap_cli.perception.views import measured, scan_views
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from hiermap_cli.perception.segments import SegmentBlock
     from hiermap_cli.perception.sight import Sight
     from hiermap_cli.perception.views import SegmentView
+
+PART = 256  # scans after which is asked whether the noise is known
 
 _TURN = 2.0 * math.pi
 
@@ -47,9 +49,10 @@ class SeenBlock:
             self._look(self._key_scans(place))
         return self._sights[place]
 
-    def every(self) -> SegmentBlock:
-        """The segments of all scans, each of which is looked at."""
-        return self._look(list(range(len(self.block))))
+    def laser_factor(self) -> float:
+        """The laser's variance over the configured one, by the residuals of all line fits."""
+        segments = self._look(list(range(len(self.block))))
+        return residual_factor(segments.chi2, segments.points - 2, self._config.noise)
 
     def _key_scans(self, first: int) -> list[int]:
         """The scans from `first` on that will be asked for, as far as can be foretold."""
@@ -72,17 +75,16 @@ class SeenBlock:
         """Segment the scans at `places` together, and keep what is asked of them."""
         block, config = self.block, self._config
         if len(places) < len(block):
-            some = np.array(places)
-            block = replace(
-                block,
-                stamps_ns=block.stamps_ns[some],
-                ranges=block.ranges[some],
-                odometry=block.odometry[some],
-                has_odometry=block.has_odometry[some],
-            )
+            block = block.part(np.array(places))
         segments = segment_block(block, config.laser, config.segmentation)
         features = config.filter.features
         views = (measured(view, features) for view in scan_views(segments, len(block)))
         self._views.update(zip(places, views, strict=True))
         self._sights.update(zip(places, sights(block, config.laser), strict=True))
         return segments
+
+
+def parted(block: ScanBlock, config: Config, size: int = PART) -> list[SeenBlock]:
+    """A block in parts of at most `size` scans."""
+    parts = (block.part(slice(start, start + size)) for start in range(0, len(block), size))
+    return [SeenBlock(part, config) for part in parts]

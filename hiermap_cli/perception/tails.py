@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiermap_cli.perception.beams import concatenated_ranges
 from hiermap_cli.perception.fitting import fit_moments, inner_moments
 
 if TYPE_CHECKING:
@@ -55,20 +54,20 @@ def gain_points(
         laser: noise of ranges.
         config: how uneven a wall may be.
     """
-    total = len(beams.cell)
-    free = np.ones(total + 2, dtype=bool)
-    free[concatenated_ranges(first, last - first + 1)] = False
-    free[total:] = False  # also what index -1 asks
     low, high = first.copy(), last.copy()
-    for end, out, step in ((first, low, -1), (last, high, 1)):
-        neighbour = np.clip(end + step, 0, total - 1)
+    before, after = np.append(-1, last[:-1]), np.append(first[1:], len(beams.cell))
+    for end, out, step, room in (
+        (first, low, -1, first - before - 1),  # how many points are of no run, on that side
+        (last, high, 1, after - last - 1),
+    ):
+        some = np.flatnonzero(room > 0)
         # Points of the same surface were split off on purpose.
-        some = np.flatnonzero(free[end + step] & breaks[end if step < 0 else neighbour])
+        some = some[breaks.take(end.take(some) + (step > 0))]
         fits = _on_line(beams, lines.take(some), end[some], step, 1, laser, config)
         some = some[fits[0]]
         line, at = lines.take(some), end[some]
         fits = _on_line(beams, line, at, step, GAIN, laser, config)
-        fits &= free[np.clip(at + step * np.arange(1, GAIN + 1)[:, None], 0, total)]
+        fits &= np.arange(1, GAIN + 1)[:, None] <= room[some]
         out[some] += step * np.logical_and.accumulate(fits, axis=0).sum(axis=0)
     # What two segments both would gain goes to neither.
     shared = np.flatnonzero(low[1:] <= high[:-1])
