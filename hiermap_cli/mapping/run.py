@@ -10,7 +10,6 @@ from hiermap_cli.errors import InputError
 from hiermap_cli.mapping.assembly import assemble
 from hiermap_cli.mapping.levels import compose_levels
 from hiermap_cli.mapping.mapper import run_filter
-from hiermap_cli.mapping.refinement.refine import refine
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -53,6 +52,9 @@ def finish(mapper: Mapper, timing: dict[str, float], laser_x: float) -> MapResul
     levels = by_filter = compose_levels(mapper)
     refined = None
     if mapper.config.refine.enabled:
+        # The filter alone does not load it.
+        from hiermap_cli.mapping.refinement.refine import refine
+
         refined = refine(mapper, by_filter)
         mapper.areas[:], levels = refined.areas, refined.levels
         mapper.crossings.places = refined.places

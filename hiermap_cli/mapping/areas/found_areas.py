@@ -14,7 +14,6 @@ from hiermap_cli.mapping.areas.duplicates import Placed, duplicates, place_draft
 from hiermap_cli.mapping.areas.extents import Extent, extents
 from hiermap_cli.mapping.areas.joining import JoinedArea, join
 from hiermap_cli.mapping.areas.landmarks import Draft, find_landmarks, joint_covariance
-from hiermap_cli.mapping.areas.rejoin import joined_area
 from hiermap_cli.mapping.areas.walls import at_vertices, wall_lines
 
 if TYPE_CHECKING:
@@ -108,6 +107,8 @@ def _joined(
 ) -> list[JoinedArea]:
     """The areas of `rooms`: out of the solution, or what the filter left of each put together."""
     if refined is not None:
+        from hiermap_cli.mapping.areas.rejoin import joined_area
+
         keyscans, least = mapper.keyscans.taken(), mapper.config.landmarks.least_seen
         return [joined_area(refined, parts, keyscans, least) for parts in rooms.parts]
     maps = [
