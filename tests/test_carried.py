@@ -31,6 +31,14 @@ def test_other_ranges_where_odometry_stands_are_another_place(gap):
     assert np.flatnonzero(told).tolist() == [3 + gap + 1]  # by the second scan there, and once
 
 
+def test_who_is_put_down_where_all_is_nearer_was_carried():
+    """From a room into a narrow corridor: not one range is longer."""
+    noise = np.random.default_rng(0)
+    here = [scan(1, noise) for _ in range(3)]
+    there = [0.4 * scan(1, noise) for _ in range(3)]
+    assert np.flatnonzero(watched(np.zeros(6), here + there)).tolist() == [4]
+
+
 def test_odometry_that_moves_explains_other_ranges():
     noise = np.random.default_rng(0)
     ranges = [scan(1, noise) for _ in range(3)] + [scan(2, noise) for _ in range(3)]

@@ -3,7 +3,8 @@
 A robot that stands sees at every moment what it saw the moment before. If its odometry has not
 moved between two such moments and many ranges are others, some longer and some shorter, then it
 does not stand where it stood. People who come or go, and doors, change fewer of the ranges, or all
-of them one way, or go on changing them. Unlike a scan that fits no wall this shows in a corridor
+of them one way, or go on changing them; only who is carried from a room into a narrow corridor
+has nearly all of them shorter. Unlike a scan that fits no wall this shows in a corridor
 too, where from anywhere the same two walls are seen.
 """
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 CALM = 0.1  # share of the ranges that change, at most, while a robot stands
 EITHER_WAY = 0.15  # of the ranges that are others: at least so many longer, and so many shorter
+NEARLY_ALL = 0.8  # of the ranges: if so many are others, no matter which way
 
 
 @dataclass(slots=True)
@@ -54,7 +56,8 @@ class CarryWatch:
             return False
         longer, shorter = self._others(stood[1], now[1])
         both = longer + shorter
-        return both > self.config.others and min(longer, shorter) > EITHER_WAY * both
+        either_way = min(longer, shorter) > EITHER_WAY * both
+        return both > self.config.others and (either_way or both > NEARLY_ALL)
 
     def forget(self) -> None:
         """The robot has moved, although its odometry has not told."""
