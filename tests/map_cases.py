@@ -40,10 +40,11 @@ DOORS = {
     "D2": (("A1", "A3"), (1.0, 3.1), (2.0, 3.1)),
 }
 DOOR_BOXES = ((4.0, 1.0, 4.2, 1.9), (1.0, 3.0, 2.0, 3.2))
+# Where each area sees them, with headings: Y leads out of the area.
 DOOR_FACES = {
-    "A1": ((4.0, 1.45), (1.5, 3.0)),
-    "A2": ((4.2, 1.45),),
-    "A3": ((1.5, 3.2),),
+    "A1": ((4.0, 1.45, -0.5 * np.pi), (1.5, 3.0, 0.0)),
+    "A2": ((4.2, 1.45, 0.5 * np.pi),),
+    "A3": ((1.5, 3.2, np.pi),),
 }
 # Frames: the model's global frame in the reference's, and the areas' frames there.
 R_t_g = np.array([2.0, 1.0, 0.7])
@@ -114,7 +115,7 @@ def exact_model() -> HierarchicalModel:
                 landmarks.append(landmark[0])
                 poses.append((landmark[0].id, landmark[1]))
         for face in DOOR_FACES[name]:
-            pose = np.array([*face, 0.3])
+            pose = np.array(face)
             landmarks.append(bare_landmark(f"L{len(landmarks) + 1}", name, "door", ()))
             poses.append((landmarks[-1].id, pose))
         areas.append(

@@ -8,6 +8,7 @@ import pytest
 from map_cases import (
     DOORS,
     SIGMA,
+    R_t_a,
     R_t_g,
     exact_model,
     exact_trajectory,
@@ -25,7 +26,7 @@ from hiermap_cli.evaluation.consistency import (
     robot_nees,
 )
 from hiermap_cli.evaluation.placed import is_corner, is_door, landmark_points, move_points
-from hiermap_cli.geometry.se2 import compose, invert
+from hiermap_cli.geometry.se2 import between, compose, invert
 from hiermap_cli.mapping.model import Trajectory
 
 TRUTH = true_path()
@@ -157,15 +158,51 @@ def test_nees_of_landmarks_goes_with_the_inverse_of_the_covariance() -> None:
 def test_a_door_has_a_place_on_each_face_of_its_wall() -> None:
     assert REFERENCE.doors is not None
     first, second = REFERENCE.doors
-    assert np.sort(door_faces(first, REFERENCE), axis=0) == pytest.approx(
-        np.array([[4.0, 1.45], [4.2, 1.45]])
+    # Point and way out, from A1 to the right and upwards, back from A2 and A3.
+    faces = sorted((*f.point, *f.out) for f in door_faces(first, REFERENCE))
+    assert np.array(faces) == pytest.approx(
+        np.array([(4.0, 1.45, 1.0, 0.0), (4.2, 1.45, -1.0, 0.0)])
     )
-    assert np.sort(door_faces(second, REFERENCE), axis=0) == pytest.approx(
-        np.array([[1.5, 3.0], [1.5, 3.2]])
-    )
-    # Without walls the door's own line is all that is known.
+    faces = sorted((*f.point, *f.out) for f in door_faces(second, REFERENCE))
+    assert np.array(faces) == pytest.approx(np.array([(1.5, 3.0, 0.0, 1.0), (1.5, 3.2, 0.0, -1.0)]))
+    # Without walls the door's own line is all that is known, and it has no sides.
     (face,) = door_faces(first, ReferenceMap())
-    assert face == pytest.approx(np.mean(DOORS["D1"][1:], axis=0))
+    assert face.point == pytest.approx(np.mean(DOORS["D1"][1:], axis=0))
+    assert not face.out.any()
+
+
+def door_nees(moved_to: dict[str, float]) -> dict[str, float]:
+    """NEES of D1's landmarks by area, where they lie at these x in the reference's frame."""
+    model = exact_model()
+    chosen = {}
+    areas = []
+    for area in model.areas:
+        landmarks = list(area.landmarks)
+        if area.id in moved_to:
+            doors = {l.id for l in filter(is_door, model.landmarks)}
+            i = next(k for k, (name, _) in enumerate(landmarks) if name in doors)
+            name, estimate = landmarks[i]
+            chosen[name] = area.id
+            theta = -0.5 * np.pi if area.id == "A1" else 0.5 * np.pi
+            pose = between(R_t_a[area.id], np.array([moved_to[area.id], 1.45, theta]))
+            landmarks[i] = (name, replace(estimate, mean=pose))
+        areas.append(replace(area, landmarks=tuple(landmarks)))
+    nees = landmark_nees(replace(model, areas=tuple(areas)), REFERENCE, R_t_g, R_t_g)
+    values = dict(zip(nees.ids, nees.values, strict=True))
+    return {area: float(values[name]) for name, area in chosen.items()}
+
+
+def test_a_door_is_held_to_the_face_on_its_own_side() -> None:
+    # A2's door was taken for one on A1's face, nearer to it than A1's own, which is nearly right.
+    nees = door_nees({"A1": 4.005, "A2": 3.999})
+    right = door_nees({"A1": 4.005, "A2": 4.2})
+    wrong = door_nees({"A1": 4.0, "A2": 3.999})
+    assert nees["A1"] == pytest.approx(right["A1"])
+    assert nees["A2"] == pytest.approx(wrong["A2"])
+    assert 0.0 < nees["A1"] < 0.05
+    assert nees["A2"] > 10.0
+    # Where they truly are, each in its area's own frame, nothing is off.
+    assert door_nees({"A1": 4.0, "A2": 4.2}) == pytest.approx({"A1": 0.0, "A2": 0.0}, abs=1e-9)
 
 
 def test_moved_points_keep_their_nees() -> None:

@@ -236,6 +236,36 @@ def test_a_passage_that_was_crossed_is_a_door_by_its_nearest_ends():
     assert len(found(lines_of(wider, passages=passages), "door")) == 1
 
 
+def across_and_turn(walls):
+    """Deviations across the wall and of the heading of a door passed downwards at x = 2.45."""
+    lines = lines_of(walls, passages=np.array([[2.45, -0.05, np.pi, 0.9]]))
+    ((_, group, extraction),) = found(lines, "door")
+    C = pose_covariance(lines, group, extraction)
+    return extraction.pose, np.sqrt(C[1, 1]), np.sqrt(C[2, 2])
+
+
+def test_jambs_of_the_walls_other_face_tell_a_door_to_the_walls_thickness():
+    far = DOOR[:, ::-1] - np.array([0.0, 0.15])  # the free side is below: this area's is not seen
+    pose, across, turn = across_and_turn(far)
+    np.testing.assert_allclose(pose[:2], [2.45, -0.15], atol=1e-12)
+    assert abs(pose[2]) == pytest.approx(np.pi)  # out of the area, all the same
+    assert 0.15 <= across < 0.16
+    assert turn < 0.03
+    # One of them turns the jamb line too; the other is a thick wall's inner face.
+    inner = np.array([[[2.0, 0.0], [2.0, -0.15]]])
+    pose, across, turn = across_and_turn(np.concatenate((inner, far[1:])))
+    assert abs(pose[1]) < 2.0 * across < 0.16
+    assert abs(se2.wrap(pose[2] - np.pi)) < 1.5 * turn
+    # Along the wall the jambs are as good as ever; and so is all where this face was seen.
+    lines = lines_of(far, passages=np.array([[2.45, -0.05, np.pi, 0.9]]))
+    ((_, group, extraction),) = found(lines, "door")
+    assert np.sqrt(pose_covariance(lines, group, extraction)[0, 0]) < 0.02
+    for near in (DOOR, np.concatenate((DOOR[:1], far[1:])), np.concatenate((far[:1], DOOR[1:]))):
+        pose, across, _ = across_and_turn(near)
+        assert pose[1] == pytest.approx(0.0, abs=1e-9)
+        assert across < 0.02
+
+
 # --- corridors, crossings, walls ---
 
 

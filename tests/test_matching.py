@@ -33,3 +33,13 @@ def test_as_many_as_possible_then_least_distance(n, m, seed):
     best = cost[rows, columns]
     assert len(pairs) == (best < 1000.0).sum()
     assert distance[pairs[:, 0], pairs[:, 1]].sum() == pytest.approx(best[best < 1000.0].sum())
+
+
+def test_what_is_not_allowed_is_no_pair_however_near():
+    found = np.array([[0.0, 0.0], [0.1, 0.0]])
+    true = np.array([[0.0, 0.0], [0.3, 0.0]])
+    assert match_points(found, true, 0.5).tolist() == [[0, 0], [1, 1]]
+    allowed = np.array([[False, True], [True, False]])
+    assert match_points(found, true, 0.5, allowed).tolist() == [[0, 1], [1, 0]]
+    allowed[1] = False
+    assert match_points(found, true, 0.5, allowed).tolist() == [[0, 1]]

@@ -82,7 +82,7 @@ def test_thresholds_that_overlap_are_refused(tmp_path):
 
 
 def model(segments, polygon):
-    none = PlacedPoints((), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    none = PlacedPoints((), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
     return PlacedModel(
         none, np.array(segments), (), (PlacedArea("A1", np.array(polygon)),), ("L1",)
     )

@@ -22,20 +22,32 @@ from hiermap_cli.geometry.se2 import compose, invert, wrap
 from hiermap_cli.mapping.model import Metric
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from hiermap_cli.documents.reference import ReferenceDoor, ReferenceMap
     from hiermap_cli.evaluation.placed import PlacedPoints
-    from hiermap_cli.mapping.model import HierarchicalModel, LandmarkModel, Trajectory
+    from hiermap_cli.mapping.model import HierarchicalModel, Trajectory
 
     Array = NDArray[np.float64]
+    Pairs = NDArray[np.int64]
     Stamps = NDArray[np.int64]
 
 _SINGULAR = 1e-10  # smallest eigenvalue of a correlation matrix that is still inverted
 _ROUNDING_NS = 1_000_000  # stamps written with three decimals are still the same
 _THICKEST = 0.5  # metres from a door's line to a face of its wall
+
+
+class DoorFace(NamedTuple):
+    """Where a door's landmark can truly be, (2,), and the way out of the area that sees it there.
+
+    out: (2,) unit vector from the free side of the face into the wall; zero where the sides are
+    not told apart.
+    """
+
+    point: Array
+    out: Array
 
 
 class Nees(NamedTuple):
@@ -133,16 +145,18 @@ def landmark_nees(
             as for `corner_*` and `door_*`.
     """
     corners = np.concatenate((wall_corners(reference).points, furniture_corners(reference)))
-    doors = np.array(
-        [face for door in reference.doors or () for face in door_faces(door, reference)]
+    faces = [face for door in reference.doors or () for face in door_faces(door, reference)]
+    doors = np.array([face.point for face in faces]).reshape(-1, 2)
+    found = [landmark_points(model, filter(is_a, model.landmarks)) for is_a in (is_corner, is_door)]
+    placed = [points.moved(best_R_t_g) for points in found]
+    matches = (
+        (corners, match_points(placed[0].points, corners, CORNER_RADIUS)),
+        (doors, match_points(placed[1].points, doors, DOOR_RADIUS, _same_side(placed[1], faces))),
     )
-    kinds: tuple[tuple[Iterable[LandmarkModel], Array, float], ...] = (
-        (filter(is_corner, model.landmarks), corners, CORNER_RADIUS),
-        (filter(is_door, model.landmarks), doors.reshape(-1, 2), DOOR_RADIUS),
+    values = np.concatenate(
+        [_point_nees(one, *match, R_t_g) for one, match in zip(found, matches, strict=True)]
     )
-    found = [(landmark_points(model, chosen), true, radius) for chosen, true, radius in kinds]
-    values = np.concatenate([_point_nees(*one, R_t_g, best_R_t_g) for one in found])
-    ids = tuple(id_ for points, _, _ in found for id_ in points.ids)
+    ids = tuple(id_ for points in found for id_ in points.ids)
     return _mean(values)._replace(independent=_independent(model, ids, values), ids=ids)
 
 
@@ -162,28 +176,36 @@ def _independent(model: HierarchicalModel, ids: tuple[str, ...], values: Array) 
     return independent_of_groups([np.array(group) for group in groups.values()])
 
 
-def _point_nees(
-    found: PlacedPoints, true: Array, radius: float, R_t_g: Array, best_R_t_g: Array
-) -> Array:
-    """NEES (k,) of landmarks in g against true points (m, 2) in t; nan where none matches."""
+def _same_side(doors: PlacedPoints, faces: Sequence[DoorFace]) -> NDArray[np.bool_]:
+    """Which of the faces (m) the area of each door landmark (k) sees, (k, m).
+
+    The Y axis of a door landmark points out of its area, so into the wall on its side.
+    """
+    Y = np.column_stack((-np.sin(doors.headings), np.cos(doors.headings)))
+    out = np.array([face.out for face in faces]).reshape(-1, 2)
+    return np.asarray(Y @ out.T >= 0.0)
+
+
+def _point_nees(found: PlacedPoints, true: Array, pairs: Pairs, R_t_g: Array) -> Array:
+    """NEES (k,) of landmarks in g, paired with true points (m, 2) in t; nan where none is."""
     values = np.full(len(found.ids), math.nan)
-    i, j = match_points(move_points(best_R_t_g, found.points), true, radius).T
+    i, j = pairs.T
     errors = found.points[i] - move_points(invert(R_t_g), true[j])
     values[i] = nees_values(errors, found.covariances[i])
     return values
 
 
-def door_faces(door: ReferenceDoor, reference: ReferenceMap) -> list[Array]:
+def door_faces(door: ReferenceDoor, reference: ReferenceMap) -> list[DoorFace]:
     """Where a door's landmark can truly be: the middle between the jambs on each face of its wall.
 
     A door landmark lies on the face that its area sees. The faces are found from ends of walls
     beside both jambs at the same distance from the door's line; without such walls it is the
-    door's line itself.
+    door's line itself. A face seen alone, and the door's line, have no sides.
     """
     middle, span = 0.5 * (door.p1 + door.p2), door.p2 - door.p1
     width = float(np.hypot(*span))
     if reference.walls is None or width == 0.0:
-        return [middle]
+        return [DoorFace(middle, np.zeros(2))]
     along = span / width
     normal = np.array([-along[1], along[0]])
     ends = reference.walls.reshape(-1, 2) - middle
@@ -195,7 +217,13 @@ def door_faces(door: ReferenceDoor, reference: ReferenceMap) -> list[Array]:
         repeated = any(abs(offset - face) < 0.02 for face in faces)
         if not repeated and (np.abs(right - offset) < 0.02).any():
             faces.append(offset)
-    return [middle + offset * normal for offset in faces] or [middle]
+    if len(faces) < 2:
+        return [DoorFace(middle + offset * normal, np.zeros(2)) for offset in faces or [0.0]]
+    within = 0.5 * (faces[0] + faces[-1])  # the free sides are away from it
+    return [
+        DoorFace(middle + offset * normal, normal if offset < within else -normal)
+        for offset in faces
+    ]
 
 
 def position_sigmas(covariances: Array) -> Array:

@@ -13,25 +13,28 @@ if TYPE_CHECKING:
     Pairs = NDArray[np.int64]
 
 
-def match_points(found: Array, true: Array, radius: float) -> Pairs:
+def match_points(
+    found: Array, true: Array, radius: float, allowed: NDArray[np.bool_] | None = None
+) -> Pairs:
     """Pairs (k, 2) of indices: as many as possible within `radius`, then least total distance.
 
     Args:
         found: (n, 2) points.
         true: (m, 2) points in the same frame.
         radius: metres, inclusive.
+        allowed: (n, m) which may be pairs at all; all where it is not given.
     """
     if len(found) == 0 or len(true) == 0:
         return np.zeros((0, 2), dtype=np.int64)
     distance = np.hypot(*np.moveaxis(found[:, None, :] - true[None, :, :], -1, 0))
-    near = distance <= radius
+    near = distance <= radius if allowed is None else (distance <= radius) & allowed
     pairs: list[tuple[int, int]] = []
     for rows, columns in _components(near):
-        part, allowed = distance[np.ix_(rows, columns)], near[np.ix_(rows, columns)]
+        part, fits = distance[np.ix_(rows, columns)], near[np.ix_(rows, columns)]
         # One more match always outweighs whatever distance it costs the others.
         penalty = (radius + 1.0) * (min(part.shape) + 1)
-        cost = np.where(allowed, part, penalty)
-        pairs += [(rows[i], columns[j]) for i, j in assigned(cost) if allowed[i, j]]
+        cost = np.where(fits, part, penalty)
+        pairs += [(rows[i], columns[j]) for i, j in assigned(cost) if fits[i, j]]
     return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.geometry.se2 import compose, compose_D_first, compose_D_second, rotation
+from hiermap_cli.geometry.se2 import compose, compose_D_first, compose_D_second, rotation, wrap
 from hiermap_cli.mapping.model import SegmentFeature
 
 if TYPE_CHECKING:
@@ -26,17 +26,24 @@ def move_points(R_t_g: Array, points: Array) -> Array:
 
 
 class PlacedPoints(NamedTuple):
-    """k landmarks that are points: ids, positions (k, 2), covariances (k, 2, 2), in one frame."""
+    """k landmarks that are points: ids, positions (k, 2), covariances (k, 2, 2), in one frame.
+
+    headings: (k,) of their X axes there.
+    """
 
     ids: tuple[str, ...]
     points: Array
     covariances: Array
+    headings: Array
 
     def moved(self, R_t_g: Array) -> PlacedPoints:
         """The same seen from t; the transform itself is exact."""
         turn = rotation(R_t_g[2])
         return PlacedPoints(
-            self.ids, move_points(R_t_g, self.points), turn @ self.covariances @ turn.T
+            self.ids,
+            move_points(R_t_g, self.points),
+            turn @ self.covariances @ turn.T,
+            np.asarray(wrap(self.headings + R_t_g[2])),
         )
 
 
@@ -92,7 +99,7 @@ def landmark_points(model: HierarchicalModel, chosen: Iterable[LandmarkModel]) -
     poses = {(area.id, l): estimate for area in model.areas for l, estimate in area.landmarks}
     listed = list(chosen)
     if not listed:
-        return PlacedPoints((), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+        return PlacedPoints((), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
     R_g_a = [frames[landmark.area] for landmark in listed]
     R_a_l = [poses[landmark.area, landmark.id] for landmark in listed]
     first, second = (np.array([one.mean for one in part]) for part in (R_g_a, R_a_l))
@@ -100,7 +107,8 @@ def landmark_points(model: HierarchicalModel, chosen: Iterable[LandmarkModel]) -
     J1, J2 = compose_D_first(first, second)[:, :2], compose_D_second(first, second)[:, :2]
     C = J1 @ C_g_a @ J1.transpose(0, 2, 1) + J2 @ C_a_l @ J2.transpose(0, 2, 1)
     ids = tuple(landmark.id for landmark in listed)
-    return PlacedPoints(ids, compose(first, second)[:, :2], C)
+    poses_g = compose(first, second)
+    return PlacedPoints(ids, poses_g[:, :2], C, poses_g[:, 2])
 
 
 def place(model: HierarchicalModel, R_t_g: Array) -> PlacedModel:

@@ -9,7 +9,8 @@ is the wall's other face, a wall's thickness away.
 The heading comes from the jamb *lines*, by their lengths; a jamb that no line along the wall
 leads to (a thick wall's inner face, a wall that runs away) gives its point only, and where there
 is no line at all the heading is that from jamb to jamb. Both points are ends of lines, uncertain
-by the beam spacing.
+by the beam spacing. Where this side of the wall was not mapped the jambs may be those of its other
+face: across the wall the door is then known to a wall's thickness only.
 """
 
 from __future__ import annotations
@@ -41,6 +42,10 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+# Metres, a deviation: jambs of the wall's other face lie its thickness beyond the door's own, which
+# is not seen; inside a building that is 8 to 25 cm.
+THICKNESS = 0.15
+FAR_TILT = 0.25 * np.pi  # radians from the jamb line to a wall that is seen from the other side
 FROM_BOTH, FROM_FIRST, FROM_SECOND, FROM_POINTS = range(4)  # choices: what gives the heading
 
 
@@ -93,7 +98,12 @@ class Doors:
             shapes.append(shape)
             rows.append(row)
         return Extraction(
-            POSE, pose, pose_D_lines, tuple(shapes), np.concatenate(rows), np.zeros(3)
+            POSE,
+            pose,
+            pose_D_lines,
+            tuple(shapes),
+            np.concatenate(rows),
+            _far_side(lines, group, pose, jambs),
         )
 
 
@@ -118,6 +128,19 @@ def _jambs(lines: LineSet, group: Group) -> Jambs:
 def _along(choice: int) -> tuple[int, ...]:
     """Which jambs have a line along the wall."""
     return {FROM_BOTH: (0, 1), FROM_FIRST: (0,), FROM_SECOND: (1,), FROM_POINTS: ()}[choice]
+
+
+def _far_side(lines: LineSet, group: Group, pose: Array, jambs: Jambs) -> Array:
+    """Deviations (3,) of the pose where jambs are those of the wall's other face.
+
+    Where one jamb's wall was seen on this side, both are on its line, and nothing is left open.
+    """
+    if group.choice != FROM_POINTS:
+        return np.zeros(3)
+    far = int((np.cos(lines.theta[list(group.lines)] - pose[2]) > np.cos(FAR_TILT)).sum())
+    gap = float(np.hypot(*(jambs.points[0] - jambs.points[1])))
+    # One of the two takes the middle half as far, and turns the line between them.
+    return np.array([0.0, 0.5 * far * THICKNESS, THICKNESS / gap if far == 1 else 0.0])
 
 
 def _weight(lines: LineSet, group: Group) -> float:

@@ -65,7 +65,7 @@ class Extraction(NamedTuple):
     binds: which of x, y, theta it binds. pose: (3,) R_k_l. pose_D_lines: (3, 4 c) by the
     parameters of its c lines. shape: f features, and shape_D_lines: (2 f, 4 c), with zero rows
     for what the frame's rule makes exact. free: (3,) deviations, along the landmark's own axes,
-    of what it does not bind.
+    of what it does not bind, and of what its lines do not tell beside their own errors.
     """
 
     binds: tuple[str, ...]
@@ -124,7 +124,7 @@ def re_express(rule: RuleSet, lines: LineSet, group: Group, heading: float) -> G
 
 
 def pose_covariance(lines: LineSet, group: Group, found: Extraction) -> Array:
-    """C_k_l (3, 3), additive: what the lines leave open, and what the kind does not bind."""
+    """C_k_l (3, 3), additive: what the lines leave open, and what they do not tell."""
     columns = lines.columns(group.lines)
     J = found.pose_D_lines
     C = J @ lines.covariance[np.ix_(columns, columns)] @ J.T + free_covariance(found)
@@ -132,7 +132,7 @@ def pose_covariance(lines: LineSet, group: Group, found: Extraction) -> Array:
 
 
 def free_covariance(found: Extraction) -> Array:
-    """Covariance (3, 3) in frame k of the components that are not bound."""
+    """Covariance (3, 3) in frame k of what the lines do not tell, from `free`."""
     turn = np.eye(3)
     turn[:2, :2] = se2.rotation(found.pose[2])
     return np.asarray(turn @ np.diag(found.free**2) @ turn.T)
