@@ -8,14 +8,23 @@ import numpy as np
 import pytest
 
 from hiermap_cli.config import Config
+from hiermap_cli.estimation.stochastic_map import predict
 from hiermap_cli.evaluation.trajectory import ate
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.association.area_filter import observe
 from hiermap_cli.mapping.levels import compose_levels
 from hiermap_cli.mapping.mapper import run_filter
-from hiermap_cli.mapping.odometry.direction import reversed_, turned_from
+from hiermap_cli.mapping.odometry.direction import (
+    DirectionWatch,
+    Told,
+    favours,
+    reversed_,
+    turned_from,
+)
 from hiermap_cli.simulation.simulator import simulate
 from hiermap_cli.simulation.world import build_world, load_world
 
+OFFICE = Path(__file__).resolve().parents[1] / "datasets" / "office.yaml"
 ROOM = Path(__file__).resolve().parents[1] / "datasets" / "room.yaml"
 REVERSED = {"faults": [{"kind": "reversed", "begin": 48.0, "end": 57.0}]}
 FAULTY = ("odometry_reversed", "odometry_missing")
@@ -96,6 +105,44 @@ def test_sound_odometry_is_never_doubted(seed):
     mapper = filtered(simulated(seed).blocks())
     assert not [event for event in mapper.events if event.kind in FAULTY or event.kind == "lost"]
     assert mapper.keyscans.taken().trusted.all()
+
+
+def test_walls_favour_the_way_that_the_robot_has_come(monkeypatch):
+    weighed = []
+
+    def weigh(self, drive, key, view, step):
+        weighed.append((self.stepper, drive, key, view, step))
+
+    monkeypatch.setattr(DirectionWatch, "weigh", weigh)
+    filtered(simulated(0).blocks())
+    straight = [one for one in weighed if one[1].increments[-1, 0] > 0.15]
+    assert len(straight) > 20
+    pulled = 0
+    for stepper, drive, key, view, step in straight:
+        assert favours(Told(drive, key, view, step, 0.0)) > 25.0
+        # Told the other way round, and little of that believed: the walls pull the robot back.
+        back = reversed_(drive.increments)
+        motion = stepper.motion(drive.before, back[-1], trusted=False)
+        area = drive.before.with_map(predict(drive.before.V, motion))
+        other = observe(area, view, key, stepper.config)
+        wrong = drive._replace(increments=back, motion=motion)
+        if np.hypot(*(other.area.V.robot - step.area.V.robot)[:2]) < 0.02:
+            assert favours(Told(wrong, key, view, other, 0.0)) < 0.0
+            pulled += 1
+    assert pulled > 20
+
+
+@pytest.mark.parametrize("seed", [62])
+def test_ends_that_are_measured_ill_turn_nothing_about(seed):
+    """What ceases to match costs less than outliers, but does not show the other direction.
+
+    Turned about in a corridor, the robot drives on between walls that match either way; jambs
+    that are two or three sigmas off cost what is told more than not knowing them costs the other.
+    """
+    simulation = simulate(load_world(OFFICE), np.random.default_rng(seed))
+    mapper = filtered(simulation.blocks())
+    assert not [event for event in mapper.events if event.kind in FAULTY or event.kind == "lost"]
+    assert off(mapper, simulation) < 0.05
 
 
 def test_what_is_recorded_is_what_was_believed():

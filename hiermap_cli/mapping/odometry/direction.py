@@ -188,9 +188,9 @@ class DirectionWatch:
         elif turning and (self._suspected or self.sign < 0.0):
             self._branches.append(self._fork(len(self._window) - 1))
         best = self._best(told.cost)
-        if best is not None and self._convincing(best, told.cost):
+        if best is not None and self._convincing(best, told):
             return best
-        if len(step.matches.wall) >= min(c.sound_share * step.offered, MAX_SEGMENTS):
+        if self._sound(step):
             self._shown += would_show(told)
         if best is not None and self.sign < 0.0 and best.path() > c.max_backward:
             return best
@@ -222,15 +222,20 @@ class DirectionWatch:
         self._window, self._branches = [], []
         self._suspected, self._path, self._shown = False, 0.0, 0.0
 
-    def _convincing(self, best: Branch, cost: float) -> bool:
-        """Whether a branch explains the walls clearly better than what costs so much.
+    def _convincing(self, best: Branch, told: Told) -> bool:
+        """Whether a branch explains the walls clearly better than what is told.
 
+        Where the walls show that the robot has just come as told, what costs so much is something
+        else: outliers, which a branch that knows only walls along its way is merely rid of.
         Ahead again after a while of driving backwards is believed sooner than the contrary.
         Odometry that has told of backing up has probably not lost its sign, and what it tells
         of backing up is probably true.
         """
         c = self.stepper.config.odometry_faults
+        cost = told.cost
         if best.path() < c.min_path:
+            return False
+        if self._sound(told.step) and favours(told) > favours(best.told[-1]):
             return False
         if self.sign < 0.0:
             return best.cost < cost - c.clear / 3.0
@@ -286,6 +291,11 @@ class DirectionWatch:
         drive = one.drive._replace(increments=increments, motion=motion, before=before)
         return Told(drive, one.key, one.view, step, cost)
 
+    def _sound(self, step: Step) -> bool:
+        """Whether so much of a scan matches that the walls tell where the robot is."""
+        c = self.stepper.config.odometry_faults
+        return len(step.matches.wall) >= min(c.sound_share * step.offered, MAX_SEGMENTS)
+
     def _suspicious(self, step: Step) -> bool:
         """Whether the walls fit ill enough for a fault to be looked for."""
         c = self.stepper.config.odometry_faults
@@ -299,11 +309,29 @@ def would_show(told: Told) -> float:
     The update took `D` off the variance `v` of the robot's place along its motion: it measured it
     with a variance of `v^2 / D` about what was predicted.
     """
+    v, D = _measured(told)
+    return 4.0 * float(told.drive.increments[-1, 0]) ** 2 * D / v**2
+
+
+def favours(told: Told) -> float:
+    """By how much the walls favour the last motion over the other way, as a chi-square.
+
+    As `would_show`, but about where the walls have moved the robot to: with the step `d` between
+    prediction and measurement, `((d + 2 a)^2 - d^2) D / v^2` for a motion of `a` ahead. The update
+    itself went by `d D / v`. Negative where the walls speak for the other way.
+    """
+    v, _ = _measured(told)
+    came = se2.between(told.drive.before.V.robot, told.step.area.V.robot)
+    off = float(came[0] - told.drive.motion.pose[0])
+    return would_show(told) + 4.0 * float(told.drive.increments[-1, 0]) * off / v
+
+
+def _measured(told: Told) -> tuple[float, float]:
+    """The variance of the robot's place along its motion, and what the update took off it."""
     V, P = told.step.area.V, told.drive.before.V.covariance
     along = (se2.adjoint(se2.invert(V.robot)) @ V.invariant_D_error(V.robot))[0]
     v = float(along @ P[:3, :3] @ along + told.drive.motion.covariance[0, 0])
-    D = v - float(along @ V.covariance[:3, :3] @ along)
-    return 4.0 * float(told.drive.increments[-1, 0]) ** 2 * max(D, 0.0) / v**2
+    return v, max(v - float(along @ V.covariance[:3, :3] @ along), 0.0)
 
 
 def reversed_(increments: Array) -> Array:
