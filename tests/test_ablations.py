@@ -12,7 +12,7 @@ from world_cases import DATASETS
 from hiermap_cli.config import AssociationConfig, Config, FilterConfig
 from hiermap_cli.mapping.area_map import END
 from hiermap_cli.mapping.association.matching import associate
-from hiermap_cli.mapping.mapper import run_filter
+from hiermap_cli.mapping.filtering import run_filter
 from hiermap_cli.mapping.run import finish, map_log
 from hiermap_cli.perception.segments import END_FREE, END_OPEN, END_VERTEX
 from hiermap_cli.perception.views import measured

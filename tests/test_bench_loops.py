@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hiermap_cli.config import Config
+from hiermap_cli.mapping.filtering import run_filter
 from hiermap_cli.mapping.levels import compose_levels
 from hiermap_cli.mapping.loops.closing import close_loops
-from hiermap_cli.mapping.mapper import run_filter
 from hiermap_cli.simulation.floors import office_floor
 from hiermap_cli.simulation.simulator import simulate
 

@@ -14,7 +14,7 @@ from hiermap_cli.evaluation.areas import area_metrics, topology_metrics
 from hiermap_cli.evaluation.doors import door_metrics
 from hiermap_cli.evaluation.placed import place
 from hiermap_cli.evaluation.trajectory import ate
-from hiermap_cli.mapping.mapper import run_filter
+from hiermap_cli.mapping.filtering import run_filter
 from hiermap_cli.simulation.simulator import simulate
 from hiermap_cli.simulation.world import load_world
 

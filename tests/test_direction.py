@@ -12,8 +12,8 @@ from hiermap_cli.estimation.stochastic_map import predict
 from hiermap_cli.evaluation.trajectory import ate
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.association.area_filter import observe
+from hiermap_cli.mapping.filtering import run_filter
 from hiermap_cli.mapping.levels import compose_levels
-from hiermap_cli.mapping.mapper import run_filter
 from hiermap_cli.mapping.odometry.direction import (
     DirectionWatch,
     Told,

@@ -39,6 +39,7 @@ MAPPING = [
     "refinement",
     "loops",
     "levels",
+    "filtering",
     "mapper",
     "topology",
     "odometry",

@@ -14,7 +14,8 @@ from hiermap_cli.config import Config, NoiseConfig
 from hiermap_cli.evaluation.consistency import first_pose_alignment, landmark_nees, robot_nees
 from hiermap_cli.evaluation.trajectory import ate
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.mapper import Mapper, run_filter
+from hiermap_cli.mapping.filtering import run_filter
+from hiermap_cli.mapping.mapper import Mapper
 from hiermap_cli.mapping.run import map_log
 from hiermap_cli.simulation.simulator import simulate
 from hiermap_cli.simulation.world import build_world, load_world
@@ -48,15 +49,7 @@ def cut(blocks, scans):
         n = min(len(block), scans)
         scans -= n
         if n:
-            out.append(
-                replace(
-                    block,
-                    stamps_ns=block.stamps_ns[:n],
-                    ranges=block.ranges[:n],
-                    odometry=block.odometry[:n],
-                    has_odometry=block.has_odometry[:n],
-                )
-            )
+            out.append(block.part(np.arange(n)))
     return out
 
 

@@ -17,9 +17,9 @@ from hiermap_cli.evaluation.consistency import robot_nees
 from hiermap_cli.evaluation.trajectory import ate
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.area_map import END, WALL
+from hiermap_cli.mapping.filtering import run_filter
 from hiermap_cli.mapping.keyscans import ScanSegments
 from hiermap_cli.mapping.levels import compose_levels
-from hiermap_cli.mapping.mapper import run_filter
 from hiermap_cli.mapping.refinement.between import laid_on_walls
 from hiermap_cli.mapping.refinement.matches import (
     Placed,

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -25,11 +23,9 @@ from hiermap_cli.mapping.odometry.stretches import Stretches
 from hiermap_cli.mapping.topology.crossing import Crossings, Passing
 from hiermap_cli.mapping.topology.lost import moved, through_walls
 from hiermap_cli.mapping.trail import Trail
-from hiermap_cli.perception.seen import SeenBlock, parted
+from hiermap_cli.perception.seen import SeenBlock
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
     from numpy.typing import NDArray
 
     from hiermap_cli.config import Config
@@ -42,7 +38,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 FORGET_EVERY = 10
-WARM_UP_BLOCKS = 16  # of `PART` scans at most, however little the robot moves
 
 
 @dataclass(slots=True)
@@ -356,45 +351,3 @@ class Mapper:
 
     def _event(self, stamp_ns: int, kind: str, **details: object) -> None:
         self.events.append(Event(stamp_ns, kind, details))
-
-
-def run_filter(
-    blocks: Iterable[ScanBlock], config: Config, progress: Callable[[int], None] | None = None
-) -> tuple[Mapper, dict[str, float]]:
-    """The filter over the whole log; returns the mapper and the seconds of each stage."""
-    started = time.process_time()
-    stream = iter(blocks)
-    first, noise = learn_noise(stream, config)
-    learnt = time.process_time()
-    mapper = Mapper(
-        config, noise=noise, noise_rate=config.noise.rate if config.noise.estimate else 0.0
-    )
-    for seen in chain(first, (SeenBlock(block, config) for block in stream)):
-        mapper.take(seen.block, seen)
-        if progress is not None:
-            progress(len(seen.block))
-    mapper.finish()
-    return mapper, {"noise": learnt - started, "filter": time.process_time() - learnt}
-
-
-def learn_noise(stream: Iterator[ScanBlock], config: Config) -> tuple[list[SeenBlock], NoiseScale]:
-    """The blocks at the log's beginning, and how large the noise is by a first run over them.
-
-    So that the first walls are not entered with a noise that later proves wrong.
-    """
-    first: list[SeenBlock] = []
-    if not config.noise.estimate or not config.noise.warm_up:
-        return first, NoiseScale()
-    scout = Mapper(config, noise_rate=config.noise.warm_up_rate)
-    for block in stream:
-        parts = parted(block, config)
-        if not first:
-            scout.noise = NoiseScale(laser=parts[0].laser_factor())
-        first += parts
-        for seen in parts:
-            scout.take(seen.block, seen)
-            if scout.counts.keys >= config.noise.warm_up:
-                return first, scout.noise
-        if len(first) >= WARM_UP_BLOCKS:
-            break
-    return first, scout.noise

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from hiermap_cli.errors import InputError
 from hiermap_cli.mapping.assembly import assemble
+from hiermap_cli.mapping.filtering import run_filter
 from hiermap_cli.mapping.levels import compose_levels
-from hiermap_cli.mapping.mapper import run_filter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -126,7 +126,7 @@ def _source(log: str, seed: int) -> Source:
 
 @lru_cache(maxsize=LOGS_KEPT)
 def _filtered(log: str, seed: int) -> bytes:
-    from hiermap_cli.mapping.mapper import run_filter
+    from hiermap_cli.mapping.filtering import run_filter
 
     mounts = [block.mount.x for block in _source(log, seed).watched]
     return pickle.dumps((run_filter(_source(log, seed).watched, Config())[0], mounts[0]))
