@@ -170,11 +170,11 @@ def test_groups_that_only_the_path_between_them_parts_are_believed_last(long_way
     verdict = verdict_of(joined((far_ahead, far_behind)), long_way)
     contradicted = verdict.rival >= LOOPS.second * verdict.support
     assert contradicted.any()
-    assert not (verdict.sure | verdict.borne)[contradicted].any()
-    assert verdict.last[contradicted].all()
+    assert not (verdict.sure | verdict.borne | verdict.last)[contradicted].any()
+    assert verdict.against_path[contradicted].all()
     again = loops_of(long_way, behind, (-1.9, 0.0, 0.0), TIGHT)
     verdict = verdict_of(joined((far_behind, again)), long_way)
-    assert not verdict.last.any()
+    assert not verdict.against_path.any()
 
 
 def test_few_are_not_believed_against_the_path(long_way):
@@ -183,4 +183,17 @@ def test_few_are_not_believed_against_the_path(long_way):
     verdict = verdict_of(joined((a, b)), long_way)
     contradicted = verdict.rival >= LOOPS.second * verdict.support
     assert contradicted.any()
-    assert not verdict.last[contradicted].any()
+    assert not verdict.against_path[contradicted].any()
+
+
+def test_what_only_the_path_contradicts_comes_after_all_else(long_way):
+    behind = [*BEHIND, (14, 45), (15, 44), (16, 43)]
+    loops = joined((
+        loops_of(long_way, AHEAD, (0.1, 0.0, 0.0), TIGHT),
+        loops_of(long_way, behind, (2.1, 0.0, 0.0), TIGHT),
+    ))  # fmt: skip
+    verdict = verdict_of(loops, long_way)
+    none = np.zeros(len(loops.i), dtype=bool)
+    other = verdict._replace(last=np.arange(len(none)) == 0)
+    assert other.believed(none, none, LOOPS).tolist() == other.last.tolist()
+    assert verdict.believed(none, none, LOOPS).sum() > 1

@@ -42,15 +42,16 @@ class Verdict(NamedTuple):
 
     sure: the way there is a witness. borne: other loops are. witnesses: other loops that ask for
     the same, none of which shares a fragment with it. last: it is believed when nothing else is
-    left: borne by loops over so wide a stretch that it may be unlikely, or by so many that the
-    path may be wrong, or several witnesses in one. support: metres of overlap that speak for its
-    correction. rival: of the correction nearest to it in support that contradicts it. sigma:
-    metres, of the way there.
+    left: borne by loops over so wide a stretch that it may be unlikely, or several witnesses in
+    one. against_path: likewise, after all of these: borne by so many that the path may be wrong.
+    support: metres of overlap that speak for its correction. rival: of the correction nearest to
+    it in support that contradicts it. sigma: metres, of the way there.
     """
 
     sure: Mask
     borne: Mask
     last: Mask
+    against_path: Mask
     witnesses: Index
     support: Array
     rival: Array
@@ -67,11 +68,11 @@ class Verdict(NamedTuple):
         when nothing else is left.
         """
         now = (self.sure | (self.borne & (self.sigma < FIRST * config.sure_sigma))) & ~refused
-        for borne in (self.borne & ~refused, self.last & ~refused):
-            left = borne & ~closed
+        for borne in (self.borne, self.last, self.against_path):
+            left = borne & ~refused & ~closed
             if left.any() and not (now & ~closed).any():
-                now |= borne & (self.sigma < NEXT * self.sigma[left].min())
-        return now | (closed & (self.sure | self.borne | self.last))
+                now |= borne & ~refused & (self.sigma < NEXT * self.sigma[left].min())
+        return now | (closed & (self.sure | self.borne | self.last | self.against_path))
 
 
 def judge(found: Found, ways: Ways, config: LoopConfig) -> Verdict:
@@ -120,12 +121,13 @@ def judge(found: Found, ways: Ways, config: LoopConfig) -> Verdict:
     single = (second < config.second) & (sigma < config.max_shift)
     clear = single & (rival < config.second * support)
     borne = (witnesses > 0) & clean & clear
-    against_path = (witnesses >= MANY) & clean & single & (at_once < config.second * support)
+    many = (witnesses >= MANY) & clean & single & (at_once < config.second * support)
     wide = spread > config.witness_spread
     return Verdict(
         sure=near & clear,
         borne=borne & likely,
-        last=((borne | against_path) & wide) | (_alone(found, distance, config) & clear),
+        last=(borne & wide) | (_alone(found, distance, config) & clear),
+        against_path=many & wide,
         witnesses=witnesses,
         support=support,
         rival=rival,
