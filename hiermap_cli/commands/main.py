@@ -13,6 +13,7 @@ import click
 
 from hiermap_cli import __version__
 from hiermap_cli.commands.boundary import Session, boundary, silence
+from hiermap_cli.commands.streams import prepare_streams
 from hiermap_cli.errors import EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE
 
 # Command: what the help says of it. Each is `command` in the module of its name.
@@ -81,6 +82,7 @@ def main() -> None:
     # Warnings of Python are for developers: the tests turn them into errors.
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
+    prepare_streams()
     # What stops a batch system's job cleans up as Ctrl-C does.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     status = _run(sys.argv[1:])
@@ -93,7 +95,12 @@ def main() -> None:
 
 def _run(arguments: list[str]) -> int:
     try:
-        result = cli.main(arguments, prog_name="hiermap", standalone_mode=False)
+        # The commands have a boundary of their own, which knows their options; this one is for
+        # what is printed before one is found, as the help is.
+        with boundary(Session()):
+            result = cli.main(arguments, prog_name="hiermap", standalone_mode=False)
+    except click.exceptions.Exit as error:
+        return error.exit_code
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
         return EXIT_USAGE

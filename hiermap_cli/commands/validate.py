@@ -68,14 +68,15 @@ def _check(path: Path) -> int:
     """One file: its verdict is said, its exit status given back."""
     from hiermap_cli.documents.validate import check_file
 
+    faults: list[str] = []
     try:
         if path.suffix.lower() in (".yaml", ".yml"):
-            click.echo(f"{path}: valid {_check_yaml(path)}")
-            return EXIT_OK
-        if path.suffix.lower() == ".svg":
-            click.echo(f"{path}: a picture, nothing to check")
-            return EXIT_OK
-        verdict = check_file(path)
+            said = f"valid {_check_yaml(path)}"
+        elif path.suffix.lower() == ".svg":
+            said = "a picture, nothing to check"
+        else:
+            verdict = check_file(path)
+            said, faults = f"valid {verdict.kind}", verdict.faults
     except ConfigurationError as error:
         for fault in error.faults:
             click.echo(f"{path}: {one_line(fault)}", err=True)
@@ -83,11 +84,11 @@ def _check(path: Path) -> int:
     except HiermapError as error:
         click.echo(one_line(str(error)), err=True)
         return error.exit_status
-    for fault in verdict.faults:
+    for fault in faults:
         click.echo(f"{path}: {one_line(fault)}", err=True)
-    if verdict.faults:
+    if faults:
         return EXIT_INPUT
-    click.echo(f"{path}: valid {verdict.kind}")
+    click.echo(f"{path}: {said}")
     return EXIT_OK
 
 
