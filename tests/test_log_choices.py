@@ -142,6 +142,27 @@ def test_a_topic_that_is_not_there_or_of_another_type(log):
     refused(log, "no topic /none", odometry_topic="/none")
 
 
+def test_static_transforms_are_no_odometry(log):
+    log.scans()
+    log.odometry()
+    log.transforms([("base_link", "laser", (0.2, 0.0, 0.0), LEVEL)])
+    text = refused(log, "no odometry; fitting: /odom", odometry_topic="/scan")
+    assert "/tf_static" not in text
+    for wanted in ("/tf_static", "/tf_static:base_link->laser"):
+        text = refused(log, "/tf_static holds static transforms", odometry_topic=wanted)
+        assert "no odometry; fitting: /odom (nav_msgs/msg/Odometry)" in text
+
+
+@pytest.mark.parametrize("readings", [1, 2])
+def test_a_single_reading_is_no_odometry(log, readings):
+    log.scans()
+    log.odometry(count=readings)
+    if readings == 1:
+        refused(log, "a single reading of odometry on /odom")
+    else:
+        assert sum(len(block) for block in log.open().blocks()) > 0
+
+
 def test_a_log_of_unknown_types_is_refused(log):
     log.unknown("/a")
     log.unknown("/b")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from world_cases import DATASETS, SMALL_WORLDS, TWO_ROOMS, world_of
+from world_cases import DATASETS, ONE_ROOM, SMALL_WORLDS, TWO_ROOMS, world_of
 
 from hiermap_cli.commands.main import cli
 from hiermap_cli.config import InputConfig
@@ -115,6 +116,18 @@ def test_beyond_the_reach_is_inf_and_too_near_is_nan():
     assert np.isnan(ranges).any()
     finite = ranges[np.isfinite(ranges)]
     assert 1.0 <= finite.min() < finite.max() <= 4.0
+
+
+@pytest.mark.parametrize(("beams", "step"), [(181, None), (181, 0.0175), (271, -0.01), (2, 0.3)])
+def test_a_laser_of_unsaid_angles_looks_ahead(beams, step):
+    laser = {"beams": beams, "range_max": 8.0}
+    laser |= {} if step is None else {"angle_increment": step}
+    geometry = world_of(ONE_ROOM, laser=laser).laser
+    angles = geometry.angles()
+    assert angles[0] == pytest.approx(-angles[-1])
+    assert angles[-1] - angles[0] == pytest.approx((beams - 1) * (step or math.radians(1.0)))
+    said = world_of(ONE_ROOM, laser=laser | {"angle_min": 0.0}).laser
+    assert said == geometry._replace(angle_min=0.0)
 
 
 def test_the_stated_mount_may_differ_from_the_true_one():

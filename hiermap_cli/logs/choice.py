@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from hiermap_cli.logs.records import Topic
 
 SCAN_KINDS = (kinds.SCANS, kinds.SCANS_WITH_ODOMETRY)
-TRANSFORM_KINDS = (kinds.TRANSFORMS, kinds.STATIC_TRANSFORMS)
 
 # In this order; a topic that ends like one of them (`/robot1/scan`) fits where none is exact.
 SCAN_NAMES = ("/scan", "scan", "FLASER", "ROBOTLASER1", "RAWLASER1", "L")
@@ -57,7 +56,10 @@ def choose_scans(log: str, topics: Sequence[Topic], wanted: str | None) -> Topic
 def choose_odometry(
     log: str, topics: Sequence[Topic], scans: Topic, wanted: str | None
 ) -> OdometryChoice:
-    """Where odometry comes from. Raises InputError where nothing fits, or two topics do."""
+    """Where odometry comes from. Raises InputError where nothing fits, or two topics do.
+
+    Static transforms never do: they say how the robot is built, not how it moves.
+    """
     fitting = [topic for topic in topics if topic.kind == kinds.ODOMETRY]
     carried = scans.kind == kinds.SCANS_WITH_ODOMETRY
     transforms = [topic for topic in topics if topic.kind == kinds.TRANSFORMS]
@@ -88,12 +90,12 @@ def _wanted_odometry(
     fitting = [
         topic
         for topic in topics
-        if topic.kind in (kinds.ODOMETRY, *TRANSFORM_KINDS)
+        if topic.kind in (kinds.ODOMETRY, kinds.TRANSFORMS)
         or (topic.name == scans.name and scans.kind == kinds.SCANS_WITH_ODOMETRY)
     ]
     parts = [topic.name for topic in topics if topic.name == name] or name.split(JOIN)
     chosen = [_named(log, topics, fitting, part, "--odom-topic", "odometry") for part in parts]
-    moving = chosen[0].kind in TRANSFORM_KINDS
+    moving = chosen[0].kind == kinds.TRANSFORMS
     return OdometryChoice(name, frozenset(topic.name for topic in chosen), edge, moving)
 
 
@@ -109,9 +111,9 @@ def _named(
             return topic
     for topic in topics:
         if topic.name == wanted:
+            held = kinds.STATIC_TRANSFORMS if topic.kind == kinds.STATIC_TRANSFORMS else topic.type
             raise InputError(
-                f"{log}: {option} {wanted} holds {topic.type}, no {what}; "
-                f"fitting: {describe(fitting)}"
+                f"{log}: {option} {wanted} holds {held}, no {what}; fitting: {describe(fitting)}"
             )
     raise InputError(f"{log}: no topic {wanted} ({option}) in it; fitting: {describe(fitting)}")
 

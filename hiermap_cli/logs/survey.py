@@ -77,6 +77,12 @@ def make_plan(source: Source, log: str, options: InputConfig) -> Plan:
             f"the log has {describe(topics)}"
         )
     assert isinstance(first, Odometry)
+    if len(head.scans) > 1 and sum(_is_reading(r.value) for r in readings) < 2:
+        # The head has fewer than HEAD readings only where the log has no more.
+        raise InputError(
+            f"{log}: a single reading of odometry on {odometry.name}{_losses(source)}: it does not "
+            f"say how the robot moves; the log has {describe(topics)}"
+        )
     base = frame_name(first.child) or _base_frame(steady, scan_frame)
     mount, mount_source = _mount(options.mount, (static, steady), base, scan_frame, warnings)
     laser = _first_laser(log, scans.name, head)

@@ -113,7 +113,9 @@ class LaserSpec(Section):
     """A scanner; a scan is taken at one moment, its stamp."""
 
     beams: int = Field(360, ge=2, le=20000)
-    angle_min: float = Field(-math.pi, description="radians, direction of the first beam")
+    angle_min: float | None = Field(
+        None, description="radians, direction of the first beam; the beams centred ahead if null"
+    )
     angle_increment: float = Field(2.0 * math.pi / 360.0, description="radians between beams")
     range_min: NonNegative = Field(0.05, description="metres; a nearer return says nothing")
     range_max: Positive = Field(12.0, description="metres; beyond it nothing returns")
@@ -134,6 +136,13 @@ class LaserSpec(Section):
         if self.range_min >= self.range_max:
             raise ValueError("range_min is not below range_max")
         return self
+
+    @property
+    def first_angle(self) -> float:
+        """Direction of the first beam: as given, or so that the middle of all looks ahead."""
+        if self.angle_min is not None:
+            return self.angle_min
+        return -0.5 * (self.beams - 1) * self.angle_increment
 
 
 class BendSpec(Section):

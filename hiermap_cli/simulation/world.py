@@ -31,7 +31,7 @@ class World:
         """The beams of a scan."""
         laser = self.spec.laser
         return LaserGeometry(
-            laser.angle_min,
+            laser.first_angle,
             laser.angle_increment,
             laser.beams,
             laser.range_min,
