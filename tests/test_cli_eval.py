@@ -242,6 +242,30 @@ def test_a_bad_reference_is_status_1_and_says_what_and_where(place, tmp_path, sp
     assert str(bad) in done.stderr
     assert said in done.stderr
     assert not (tmp_path / "eval.json").exists()
+    if document["format"] == "hiermap-reference" and document["version"] == [1, 0]:
+        checked = run("validate", bad)
+        assert checked.exit_code == 1
+        assert checked.stderr.startswith(f"{bad}: {said}")
+
+
+def test_a_damaged_truth_or_one_of_another_kind_is_status_1(place, tmp_path):
+    lines = (place / "truth.tum").read_text().splitlines()
+    swapped, scaled, pairs = (tmp_path / name for name in ("swapped.tum", "scaled.tum", "r.txt"))
+    swapped.write_text("\n".join([lines[0], lines[2], lines[1], *lines[3:]]))
+    scaled.write_text("\n".join(f"{' '.join(line.split()[:4])} 0 0 0 3" for line in lines))
+    pairs.write_text("100 101 0.5 0 0 0 0 0.2\n101 102 0.5 0 0 0 0 0.1\n")
+    for option, path, said in (
+        ("--trajectory", swapped, "swapped.tum:3: the stamp "),
+        ("--trajectory", scaled, "scaled.tum:1: the quaternion has length 3, not 1"),
+        ("--trajectory", pairs, "holds relations (t1 t2 x y z roll pitch yaw), no trajectory"),
+        ("--relations", place / "truth.tum", "holds a trajectory (t x y z qx qy qz qw), no rel"),
+    ):
+        done = run("eval", place / "run", option, path, "-o", tmp_path / "e.json")
+        assert done.exit_code == 1
+        assert len(done.stderr.splitlines()) == 1
+        assert str(path) in done.stderr
+        assert said in done.stderr
+        assert not (tmp_path / "e.json").exists()
 
 
 def test_no_time_in_common_is_status_1(place, tmp_path):

@@ -105,6 +105,17 @@ def test_validate_knows_floor_plans_and_jobs(tmp_path):
     assert "did you mean log?" in err
 
 
+def test_validate_says_where_a_number_is_none(tmp_path):
+    write_sample(tmp_path)
+    report = tmp_path / "report.json"
+    document = json.loads(report.read_text())
+    document["metrics"][1]["value"] = float("nan")
+    report.write_text(json.dumps(document))
+    status, _, err = hiermap("validate", report)
+    assert status == EXIT_INPUT
+    assert err == f"{report}: metrics[1].value: is nan, not a finite number\n"
+
+
 def test_validate_takes_a_folder_for_the_documents_in_it(tmp_path):
     write_sample(tmp_path)
     (tmp_path / "log.mcap").write_bytes(b"no document")

@@ -32,11 +32,10 @@ from hiermap_cli.documents.model_load import load_model
 from hiermap_cli.documents.schema import SHAPES, schema_text, shipped_schema
 from hiermap_cli.documents.trajectories import (
     read_covariances,
-    stamp_text,
     write_covariances,
     write_tum,
 )
-from hiermap_cli.documents.tum import read_tum
+from hiermap_cli.documents.tum import read_tum, stamp_text
 from hiermap_cli.mapping.model import Estimate, Metric
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from hiermap_cli.documents.relations import read_relations
 from hiermap_cli.documents.tum import read_tum
+from hiermap_cli.documents.validate import check_file
 from hiermap_cli.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,13 +32,13 @@ def test_reads_poses_and_skips_comments(tmp_path) -> None:
 
 
 def test_stamps_of_today_keep_their_nanoseconds(tmp_path) -> None:
-    text = f"1751234567.123456789 {GOOD[4:]}\n1.751234567e9 {GOOD[4:]}\n-0.000000001 {GOOD[4:]}"
+    text = f"-0.000000001 {GOOD[4:]}\n1.751234567e9 {GOOD[4:]}\n1751234567.123456789 {GOOD[4:]}"
     stamps = read_tum(file(tmp_path, text)).stamps_ns
-    assert stamps.tolist() == [1_751_234_567_123_456_789, 1_751_234_567_000_000_000, -1]
+    assert stamps.tolist() == [-1, 1_751_234_567_000_000_000, 1_751_234_567_123_456_789]
 
 
-def test_a_quaternion_of_any_length_and_sign(tmp_path) -> None:
-    track = read_tum(file(tmp_path, "0 0 0 0 0 0 -2 -2\n1 0 0 0 0 0 0.5 0.5"))
+def test_a_quaternion_of_few_decimals_and_either_sign(tmp_path) -> None:
+    track = read_tum(file(tmp_path, "0 0 0 0 0 0 -0.707 -0.707\n1 0 0 0 0 0 0.7071 0.7071"))
     assert track.poses[:, 2] == pytest.approx([math.pi / 2, math.pi / 2])
 
 
@@ -51,6 +52,9 @@ def test_a_quaternion_of_any_length_and_sign(tmp_path) -> None:
         (f"{GOOD}\n2.5 nan 0 0 0 0 0 1\n", ":2:"),
         (f"{GOOD}\n1e30 0 0 0 0 0 0 1\n", ":2:"),
         (f"{GOOD}\n2.5 0 0 0 0 0 0 0\n", ":2: the quaternion is zero"),
+        (f"{GOOD}\n2.5 0 0 0 0 0 0 3\n", ":2: the quaternion has length 3, not 1"),
+        (f"{GOOD}\n1.4 0 0 0 0 0 0 1\n", ":2: the stamp 1.400000000 comes after 1.500000000;"),
+        (f"{GOOD}\n1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 2\n", "may not go back (and 1 more)"),
     ],
 )
 def test_a_bad_line_is_named(tmp_path, text: str, said: str) -> None:
@@ -87,3 +91,33 @@ def test_reads_relations(tmp_path) -> None:
 def test_a_bad_relation_is_named(tmp_path, text: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         read_relations(file(tmp_path, text))
+
+
+POSES = "".join(f"{10 + i} {i} 1 0 0 0 0.6 0.8\n" for i in range(5))
+PAIRS = "".join(f"{10 + i} {11 + i} 0.4 0.1 0 0 0 {0.1 * i}\n" for i in range(5))
+
+
+def test_relations_are_no_trajectory_and_a_trajectory_is_no_relations(tmp_path) -> None:
+    with pytest.raises(InputError, match=r"holds relations \(t1 t2 .*no trajectory \(t x y z"):
+        read_tum(file(tmp_path, PAIRS))
+    with pytest.raises(InputError, match=r"holds a trajectory \(t x y z .*no relations \(t1 t2"):
+        read_relations(file(tmp_path, POSES))
+
+
+def test_a_relation_that_turns_by_one_radian_is_one(tmp_path) -> None:
+    assert len(read_relations(file(tmp_path, "10 11 0 0 0 0 0 1\n11 12 0 0 0 0 0 -1\n")).poses) == 2
+
+
+def test_validate_knows_a_text_by_its_shape_and_names_the_first_few_lines(tmp_path) -> None:
+    assert check_file(file(tmp_path, PAIRS)) == ("relations (5)", [])
+    assert check_file(file(tmp_path, POSES)) == ("trajectory (TUM)", [])
+    long = "".join(f"{i} 0 0 0 0 0 0 3\n" for i in range(60)) + "58 0 0 0 0 0 0 1\n"
+    (tmp_path / "long.tum").write_text(long)
+    faults = check_file(tmp_path / "long.tum").faults
+    assert len(faults) == 7
+    assert faults[0] == "line 1: the quaternion has length 3, not 1"
+    assert faults[5] == "and 55 more lines with this fault"
+    assert faults[6].startswith("line 61: the stamp 58.000000000 comes after 59.000000000")
+    (tmp_path / "pairs.tum").write_text(PAIRS)
+    with pytest.raises(InputError, match="holds relations"):
+        check_file(tmp_path / "pairs.tum")

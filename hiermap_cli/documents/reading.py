@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -10,21 +11,24 @@ import pydantic_core
 from pydantic import ValidationError
 
 from hiermap_cli.errors import InputError
-from hiermap_cli.faults import faults_of
+from hiermap_cli.faults import faults_of, path_text
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from hiermap_cli.documents.shapes import Shape
+    from hiermap_cli.faults import KeyPath
 
     S = TypeVar("S", bound=Shape)
 
 _SHOWN = 5  # faults named in one line; the rest are counted
 
 
-def read_json(path: Path) -> Any:
-    """The value of a JSON file, without NaN or infinity.
+def read_json(path: Path, *, finite: bool = True) -> Any:
+    """The value of a JSON file, without NaN or infinity unless `finite` is False.
 
     Raises:
-        InputError: the file cannot be read, or is no JSON.
+        InputError: the file cannot be read, is no JSON, or holds a number that is not finite.
     """
     path = Path(path)
     try:
@@ -39,7 +43,27 @@ def read_json(path: Path) -> Any:
         return pydantic_core.from_json(data, allow_inf_nan=False)
     except ValueError as error:
         reason = re.sub(r"\s+", " ", str(error))
+    try:
+        value = pydantic_core.from_json(data)
+    except ValueError:
         raise InputError(f"{path}: is no JSON ({reason})") from None
+    if finite:
+        raise InputError(f"{path}: {joined(infinite(value)) or f'is no JSON ({reason})'}")
+    return value
+
+
+def infinite(value: Any, place: KeyPath = ()) -> list[str]:
+    """Every number of a JSON value that is NaN or infinite, which JSON has no word for."""
+    if isinstance(value, float):
+        if math.isfinite(value):
+            return []
+        return [f"{path_text(place) or 'the document'}: is {value}, not a finite number"]
+    items: Iterable[tuple[str | int, Any]] = ()
+    if isinstance(value, dict):
+        items = value.items()
+    elif isinstance(value, list):
+        items = enumerate(value)
+    return [fault for key, item in items for fault in infinite(item, (*place, key))]
 
 
 def check_format(path: Path, document: Any, wanted: str, version: tuple[int, int]) -> None:

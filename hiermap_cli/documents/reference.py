@@ -83,6 +83,13 @@ def read_reference(path: Path) -> ReferenceMap:
     return reference
 
 
+def reference_faults(document: object) -> list[str]:
+    """Everything that keeps a JSON value from being a reference map, each with its place."""
+    faults: list[str] = []
+    _parse(document, faults)
+    return faults
+
+
 def reference_document(reference: ReferenceMap) -> dict[str, Any]:
     """The document of a reference map, ready to be written as JSON."""
     document: dict[str, Any] = {"format": FORMAT, "version": list(VERSION), "units": "m"}

@@ -11,7 +11,7 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.documents.checks import UnsoundValueError, first_bad_covariance, sound_array
-from hiermap_cli.documents.tum import read_number_lines
+from hiermap_cli.documents.tum import read_number_lines, stamp_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,16 +26,14 @@ _UPPER = ([0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2])  # xx xy xt yy yt tt
 
 
 class TimedCovariances(NamedTuple):
-    """Covariances of a trajectory: stamps_ns (N,) int64, covariances (N, 3, 3) in g."""
+    """Covariances of a trajectory: stamps_ns (N,) int64, covariances (N, 3, 3) in g.
+
+    line_numbers: of each, in its file.
+    """
 
     stamps_ns: NDArray[np.int64]
     covariances: Array
-
-
-def stamp_text(stamp_ns: int) -> str:
-    """Seconds with nine decimals, exactly."""
-    seconds, nanoseconds = divmod(abs(int(stamp_ns)), 1_000_000_000)
-    return f"{'-' if stamp_ns < 0 else ''}{seconds}.{nanoseconds:09d}"
+    line_numbers: list[int]
 
 
 def write_tum(file: IO[str], stamps_ns: NDArray[np.int64], poses: Array) -> None:
@@ -76,7 +74,7 @@ def read_covariances(path: Path) -> TimedCovariances:
     covariances = np.empty((len(table.values), 3, 3))
     covariances[:, _UPPER[0], _UPPER[1]] = table.values[:, 1:]
     covariances[:, _UPPER[1], _UPPER[0]] = table.values[:, 1:]
-    return TimedCovariances(table.stamps_ns[:, 0], covariances)
+    return TimedCovariances(table.stamps_ns[:, 0], covariances, table.line_numbers)
 
 
 def _checked(stamps_ns: NDArray[np.int64], values: Array, columns: int) -> Array:

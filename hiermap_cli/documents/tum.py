@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+TUM_COLUMNS = "t x y z qx qy qz qw"
+NORM_TOLERANCE = 1e-3  # of a quaternion: other programs print three decimals
 _LATEST_S = 9.2e9  # seconds that still fit into 64 bits of nanoseconds
 
 
@@ -37,19 +39,89 @@ def read_tum(path: Path) -> TimedPoses:
     """The trajectory in a TUM file; lines that begin with # are comments.
 
     Raises:
-        InputError: the file cannot be read, has no pose, or a line is not eight finite numbers
-            with a quaternion that is not zero; the message names file and line.
+        InputError: the file cannot be read, has no pose, holds relations, a line is not eight
+            finite numbers, a quaternion has not the length 1, or stamps go back; the message
+            names file and line.
     """
-    table = read_number_lines(path, 8, "t x y z qx qy qz qw")
+    table = read_number_lines(path, 8, TUM_COLUMNS)
+    if looks_like_relations(table):
+        raise InputError(
+            f"{path}: holds relations (t1 t2 x y z roll pitch yaw), no trajectory "
+            f"({TUM_COLUMNS}): its last four columns are no quaternions"
+        )
+    faults = sorted(tum_faults(table))
+    if faults:
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        raise InputError(f"{path}:{faults[0].line}: {faults[0].message}{more}")
     quaternions = table.values[:, 4:8]
-    norms = np.linalg.norm(quaternions, axis=1)
-    if not norms.all():
-        line = table.line_numbers[int(np.argmin(norms))]
-        raise InputError(f"{path}:{line}: the quaternion is zero; it must have length 1")
-    qx, qy, qz, qw = (quaternions / norms[:, None]).T
+    qx, qy, qz, qw = (quaternions / np.linalg.norm(quaternions, axis=1)[:, None]).T
     yaw = np.arctan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
     poses = np.column_stack((table.values[:, 1:3], yaw))
     return TimedPoses(table.stamps_ns[:, 0], poses)
+
+
+class LineFault(NamedTuple):
+    """What is wrong with a line of a file, counted from 1."""
+
+    line: int
+    message: str
+
+
+def tum_faults(table: NumberLines) -> list[LineFault]:
+    """Every line of a trajectory whose quaternion has not the length 1 or whose stamp goes back."""
+    norms = _norms(table)
+    faults = [
+        LineFault(
+            table.line_numbers[i],
+            f"the quaternion has length {norms[i]:.9g}, not 1"
+            if norms[i]
+            else "the quaternion is zero; it must have length 1",
+        )
+        for i in np.flatnonzero(np.abs(norms - 1.0) > NORM_TOLERANCE)
+    ]
+    return faults + stamp_faults(table.stamps_ns[:, 0], table.line_numbers)
+
+
+def stamp_faults(stamps_ns: NDArray[np.int64], line_numbers: list[int]) -> list[LineFault]:
+    """Stamps (N,) that go back; equal ones are allowed, since a log may repeat a stamp."""
+    return [
+        LineFault(
+            line_numbers[i],
+            f"the stamp {stamp_text(stamps_ns[i])} comes after {stamp_text(stamps_ns[i - 1])}; "
+            "stamps may not go back",
+        )
+        for i in np.flatnonzero(np.diff(stamps_ns) < 0) + 1
+    ]
+
+
+def looks_like_relations(table: NumberLines) -> bool:
+    """Whether lines of eight numbers are relations `t1 t2 x y z roll pitch yaw`, not poses.
+
+    Most have a second column that is a later stamp, and last columns that are no quaternion.
+    """
+    later = table.values[:, 1] > table.values[:, 0]
+    return bool((later & (np.abs(_norms(table) - 1.0) > NORM_TOLERANCE)).mean() > 0.5)
+
+
+def looks_like_poses(table: NumberLines) -> bool:
+    """Whether lines of eight numbers are poses `t x y z qx qy qz qw`, not relations.
+
+    Most have last columns that are a quaternion, and a second one that is no later stamp.
+    """
+    later = table.values[:, 1] > table.values[:, 0]
+    return bool((~later & (np.abs(_norms(table) - 1.0) <= NORM_TOLERANCE)).mean() > 0.5)
+
+
+def _norms(table: NumberLines) -> Array:
+    """Lengths (N,) of the last four columns."""
+    norms: Array = np.linalg.norm(table.values[:, 4:8], axis=1)
+    return norms
+
+
+def stamp_text(stamp_ns: int | np.int64) -> str:
+    """Seconds with nine decimals, exactly."""
+    seconds, nanoseconds = divmod(abs(int(stamp_ns)), 1_000_000_000)
+    return f"{'-' if stamp_ns < 0 else ''}{seconds}.{nanoseconds:09d}"
 
 
 class NumberLines(NamedTuple):

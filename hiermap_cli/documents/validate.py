@@ -4,26 +4,33 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
 from hiermap_cli.documents import model_file, report_file, shapes
 from hiermap_cli.documents.checks import first_bad_covariance
-from hiermap_cli.documents.reading import check_format, read_json, shape_faults
-from hiermap_cli.documents.reference import read_reference
-from hiermap_cli.documents.relations import read_relations
+from hiermap_cli.documents.reading import check_format, infinite, read_json, shape_faults
+from hiermap_cli.documents.reference import FORMAT as REFERENCE_FORMAT
+from hiermap_cli.documents.reference import reference_faults
+from hiermap_cli.documents.relations import RELATION_COLUMNS, read_relations
 from hiermap_cli.documents.semantics import eval_faults, model_faults, report_faults
-from hiermap_cli.documents.trajectories import read_covariances, stamp_text
-from hiermap_cli.documents.tum import read_number_lines, read_tum
+from hiermap_cli.documents.trajectories import read_covariances
+from hiermap_cli.documents.tum import (
+    TUM_COLUMNS,
+    LineFault,
+    looks_like_poses,
+    looks_like_relations,
+    read_number_lines,
+    read_tum,
+    stamp_faults,
+    stamp_text,
+    tum_faults,
+)
 from hiermap_cli.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-NORM_TOLERANCE = 1e-6  # of a quaternion: other programs print few digits
 _MAX_LISTED = 50
+_MAX_LINES = 5  # of a table with the same fault in many
 
 
 class Verdict(NamedTuple):
@@ -47,7 +54,7 @@ _JSON = {
     model_file.FORMAT: _Known(model_file.VERSION, shapes.ModelDocument, model_faults),
     report_file.FORMAT: _Known(report_file.VERSION, shapes.ReportDocument, report_faults),
     "hiermap-eval": _Known((1, 0), shapes.EvalDocument, eval_faults),
-    "hiermap-reference": _Known((1, 0), shapes.ReferenceDocument, _nothing),
+    REFERENCE_FORMAT: _Known((1, 0), shapes.ReferenceDocument, _nothing),
     "hiermap-summary": _Known((1, 0), shapes.SummaryDocument, _nothing),
     "hiermap-job": _Known((1, 0), shapes.JobDocument, _nothing),
 }
@@ -72,7 +79,7 @@ def check_file(path: Path) -> Verdict:
 
 
 def _check_json(path: Path) -> Verdict:
-    document = read_json(path)
+    document = read_json(path, finite=False)
     given = document.get("format") if isinstance(document, dict) else None
     known = _JSON.get(given) if isinstance(given, str) else None
     if known is None or not isinstance(given, str):
@@ -82,29 +89,31 @@ def _check_json(path: Path) -> Verdict:
         )
     check_format(path, document, given, known.version)
     kind = f"{given} {'.'.join(map(str, document['version']))}"
-    shape, faults = shape_faults(document, known.shape)
-    if shape is not None:
-        faults = known.semantics(shape)
-    if not faults and given == "hiermap-reference":
-        read_reference(path)
+    # What eval refuses is said in eval's words; other documents hold no numbers that are none.
+    faults = reference_faults(document) if given == REFERENCE_FORMAT else infinite(document)
+    if not faults:
+        shape, faults = shape_faults(document, known.shape)
+        if shape is not None:
+            faults = known.semantics(shape)
     return Verdict(kind, _limited(faults))
 
 
 def _check_tum(path: Path) -> Verdict:
-    read_tum(path)
-    table = read_number_lines(path, 8, "t x y z qx qy qz qw")
-    faults = _stamp_faults(table.stamps_ns[:, 0], table.line_numbers)
-    norms = np.linalg.norm(table.values[:, 4:], axis=1)
-    for index in np.flatnonzero(np.abs(norms - 1.0) > NORM_TOLERANCE)[:_MAX_LISTED]:
-        line = table.line_numbers[index]
-        faults.append(f"line {line}: the quaternion has length {norms[index]:.9g}, not 1")
-    return Verdict("trajectory (TUM)", _limited(faults))
+    table = read_number_lines(path, 8, TUM_COLUMNS)
+    if looks_like_relations(table):
+        read_tum(path)  # refuses them in the words of those who need a trajectory
+    faults = tum_faults(table)
+    turned = [fault for fault in faults if "quaternion" in fault.message]
+    back = [fault for fault in faults if fault not in turned]
+    return Verdict("trajectory (TUM)", [*_few(turned), *_few(back)])
 
 
 def _check_text(path: Path) -> Verdict:
-    """Covariances have seven columns, relations eight."""
+    """Covariances have seven columns, relations and poses eight."""
     columns = _columns(path)
     if columns == 8:
+        if looks_like_poses(read_number_lines(path, 8, RELATION_COLUMNS)):
+            return _check_tum(path)
         return Verdict(f"relations ({len(read_relations(path).poses)})", [])
     if columns != 7:
         raise InputError(
@@ -112,12 +121,12 @@ def _check_text(path: Path) -> Verdict:
             "(t xx xy xt yy yt tt), relations 8 (t1 t2 x y z roll pitch yaw)"
         )
     covariances = read_covariances(path)
-    faults = _stamp_faults(covariances.stamps_ns, None)
+    faults = _few(stamp_faults(covariances.stamps_ns, covariances.line_numbers))
     bad = first_bad_covariance(covariances.covariances)
     if bad is not None:
         t = stamp_text(int(covariances.stamps_ns[bad[0]]))
         faults.append(f"the covariance at t = {t} {bad[1]}")
-    return Verdict("covariances of a trajectory", _limited(faults))
+    return Verdict("covariances of a trajectory", faults)
 
 
 def _columns(path: Path) -> int:
@@ -135,15 +144,11 @@ def _columns(path: Path) -> int:
     return 0
 
 
-def _stamp_faults(stamps_ns: NDArray[np.int64], lines: list[int] | None) -> list[str]:
-    """Stamps that go back; equal ones are allowed, since a log may repeat a stamp."""
-    back = np.flatnonzero(np.diff(stamps_ns) < 0) + 1
-    faults = []
-    for index in back[:_MAX_LISTED]:
-        where = f"line {lines[index]}: " if lines else ""
-        earlier, later = stamp_text(int(stamps_ns[index - 1])), stamp_text(int(stamps_ns[index]))
-        faults.append(f"{where}the stamp {later} comes after {earlier}; stamps may not go back")
-    return faults
+def _few(faults: list[LineFault]) -> list[str]:
+    """The first lines with a fault, and how many more have it."""
+    more = len(faults) - _MAX_LINES
+    listed = [f"line {fault.line}: {fault.message}" for fault in faults[:_MAX_LINES]]
+    return listed if more <= 0 else [*listed, f"and {more} more lines with this fault"]
 
 
 def _limited(faults: list[str]) -> list[str]:
