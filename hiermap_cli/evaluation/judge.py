@@ -23,9 +23,11 @@ from hiermap_cli.evaluation.frames import area_nees
 from hiermap_cli.evaluation.limits import judge_limits
 from hiermap_cli.evaluation.listing import listed_errors, worst_relations
 from hiermap_cli.evaluation.names import in_order, unmeasured
+from hiermap_cli.evaluation.pairing import no_overlap, relations_warning, trajectory_warning
 from hiermap_cli.evaluation.placed import PlacedModel, place
+from hiermap_cli.evaluation.relations import MAX_GAP_S as RELATION_GAP_S
 from hiermap_cli.evaluation.relations import relation_errors, relations_metrics
-from hiermap_cli.evaluation.trajectory import ate, rpe
+from hiermap_cli.evaluation.trajectory import MAX_GAP_S, ate, rpe
 from hiermap_cli.evaluation.trust import Trusted, trusted
 from hiermap_cli.evaluation.visibility import ALL_AROUND, View
 from hiermap_cli.geometry.se2 import compose
@@ -116,7 +118,7 @@ def judge(run: Run, given: Given, limits: Sequence[Limit] = ()) -> Judgement:
         limits=judge_limits(limits, values),
         unmeasured=unmeasured((m.name for m in metrics), reasons),
         verdict=trust.sentence,
-        warnings=_warnings(given, mapped, reasons),
+        warnings=_warnings(run, given, mapped, reasons),
         details=details,
     )
     return Judgement(document, mapped.placed, mapped.findings)
@@ -135,7 +137,8 @@ def _trajectory(
     estimate = (run.trajectory.stamps_ns, run.trajectory.poses)
     best = ate(*estimate, *given.truth)
     if best.n == 0:
-        raise InputError(_no_overlap(run, given, "trajectory", given.truth.stamps_ns, 0.5))
+        name = _name(given, "trajectory")
+        raise InputError(no_overlap(name, estimate[0], given.truth.stamps_ns, MAX_GAP_S))
     metrics += best.metrics()
     metrics += rpe(*estimate, *given.truth).metrics()
     details["trajectory"] = {
@@ -145,16 +148,8 @@ def _trajectory(
     }
 
 
-def _no_overlap(run: Run, given: Given, name: str, stamps_ns: NDArray[np.int64], gap: float) -> str:
-    own = run.trajectory.stamps_ns
-    return (
-        f"{given.names.get(name, f'the {name}')}: no two stamps lie within {gap:g} s of the run's "
-        f"trajectory ({_span(stamps_ns)} against {_span(own)}); is it of the same log and clock?"
-    )
-
-
-def _span(stamps_ns: NDArray[np.int64]) -> str:
-    return f"{stamps_ns.min() / 1e9:.3f} to {stamps_ns.max() / 1e9:.3f} s"
+def _name(given: Given, role: str) -> str:
+    return given.names.get(role, f"the {role}")
 
 
 def _relations(
@@ -171,7 +166,8 @@ def _relations(
     found = relations_metrics(run.trajectory.stamps_ns, run.trajectory.poses, relations)
     if found.n == 0:
         stamps = np.concatenate((relations.stamps1_ns, relations.stamps2_ns))
-        raise InputError(_no_overlap(run, given, "relations", stamps, 1.0))
+        name = _name(given, "relations")
+        raise InputError(no_overlap(name, run.trajectory.stamps_ns, stamps, RELATION_GAP_S))
     metrics += found.metrics()
     errors = relation_errors(run.trajectory.stamps_ns, run.trajectory.poses, relations)
     details.setdefault("errors", {})["relations"] = worst_relations(relations, errors)
@@ -226,13 +222,22 @@ def _map(run: Run, given: Given, reasons: dict[str, str], details: dict[str, Any
     )
 
 
-def _warnings(given: Given, mapped: _Mapped, reasons: Mapping[str, str]) -> tuple[str, ...]:
-    """That a reference map was given in vain."""
-    if mapped.metrics or (given.reference is None and given.grid is None):
-        return ()
-    name = given.names.get("reference", "the reference map")
-    why = "it has nothing to measure" if mapped.placed is not None else reasons["walls"]
-    return (f"{name}: nothing was measured on this map: {why}",)
+def _warnings(
+    run: Run, given: Given, mapped: _Mapped, reasons: Mapping[str, str]
+) -> tuple[str, ...]:
+    """That a truth is of a small part of the run, and that a reference map was given in vain."""
+    stamps_ns = run.trajectory.stamps_ns
+    warnings: list[str | None] = []
+    if given.truth is not None:
+        name = _name(given, "trajectory")
+        warnings.append(trajectory_warning(name, stamps_ns, given.truth.stamps_ns))
+    if given.relations is not None:
+        warnings.append(relations_warning(_name(given, "relations"), stamps_ns, given.relations))
+    if not mapped.metrics and not (given.reference is None and given.grid is None):
+        name = given.names.get("reference", "the reference map")
+        why = "it has nothing to measure" if mapped.placed is not None else reasons["walls"]
+        warnings.append(f"{name}: nothing was measured on this map: {why}")
+    return tuple(warning for warning in warnings if warning is not None)
 
 
 def _aligned(
