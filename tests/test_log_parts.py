@@ -230,6 +230,47 @@ def test_parts_that_overlap_and_agree_are_one_recording(tmp_path, kind):
     assert sorted(set(stamps.tolist())) == cases.stamps()
 
 
+@pytest.mark.parametrize("kind", ["mcap zstd", "bag", "rosbag2", "carmen", "carmen gzip", "wean"])
+def test_a_log_given_twice_is_read_once(tmp_path, kind):
+    paths = cases.FORMATS[kind](tmp_path)
+    once = open_recording(paths, InputConfig())
+    expected = [block.ranges for block in once.blocks()]
+    folder = tmp_path / "copies"
+    folder.mkdir()
+    copy = folder / paths[0].name
+    (shutil.copytree if paths[0].is_dir() else shutil.copy)(paths[0], copy)
+    again = paths[0].parent / ".." / paths[0].parent.name / paths[0].name
+    for more, said in ((again, "is given twice: it is read once"), (copy, "is a copy of")):
+        twice = open_recording([*paths, more], InputConfig())
+        np.testing.assert_array_equal([block.ranges for block in twice.blocks()], expected)
+        report, single = twice.report(), once.report()
+        assert (report.sha256, report.files) == (single.sha256, single.files)
+        assert report.scans == single.scans
+        assert [w for w in report.warnings if said in w] == list(twice.source.twice)
+        assert len(twice.source.twice) == 1
+
+
+def test_scans_that_two_files_have_are_marked_and_said(tmp_path):
+    paths = [write(tmp_path / f"{size}.mcap", MESSAGES, size) for size in (3000, 4000)]
+    recording = open_recording(paths, InputConfig())
+    blocks = list(recording.blocks(size=5))
+    repeated = np.concatenate([block.repeated for block in blocks])
+    np.testing.assert_array_equal(repeated, np.arange(2 * cases.SCANS) % 2 == 1)
+    report = recording.report()
+    assert report.dropped == {"repeated_scan": cases.SCANS, "repeated_stamp": cases.SCANS}
+    assert any(f"{cases.SCANS} scans are in the log twice" in w for w in report.warnings)
+
+
+def test_scans_of_one_stamp_that_differ_are_no_repeats(tmp_path):
+    others = [m for m in scans() if m[2] == cases.stamps()[3] + 1]
+    message = cases.scan_message(cases.STORE2, cases.stamps()[3], 4)
+    others = [recorded(message, others[0][1], "/scan", others[0][2])]
+    paths = [write(tmp_path / "a.mcap", MESSAGES), write(tmp_path / "b.mcap", others)]
+    recording = open_recording(paths, InputConfig())
+    assert all(block.repeated is None for block in recording.blocks())
+    assert recording.report().dropped == {"repeated_stamp": 1}
+
+
 def shifted(text, by):
     """A CARMEN log of a robot that drives elsewhere."""
     lines = [line.split(" ") for line in text.splitlines()]

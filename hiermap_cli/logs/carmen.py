@@ -58,6 +58,7 @@ class CarmenLog:
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.paths = list(paths)
+        self.twice: tuple[str, ...] = ()
         self.losses: list[str] = []
         self._reach: dict[str, float] = {}
         self._ends: dict[bytes, int] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import TYPE_CHECKING
 
 from hiermap_cli.errors import InputError
@@ -23,7 +24,7 @@ _SUFFIXES = {".mcap": MCAP, ".db3": DB3, ".bag": BAG, ".zstd": DB3}
 
 
 def open_source(paths: Sequence[Path]) -> Source:
-    """The recording in one file, in a folder, or in the parts given.
+    """The recording in one file, in a folder, or in the parts given; each file is read once.
 
     Raises InputError where a path is missing, empty, or of no known format.
     """
@@ -33,13 +34,54 @@ def open_source(paths: Sequence[Path]) -> Source:
     files: list[Path] = []
     for path in paths:
         files += _files(path, losses)
+    files, twice = _distinct(files)
     formats = [_format(path) for path in files]
     if len(set(formats) - {MCAP, DB3}) > 1 or (TEXT in formats and set(formats) != {TEXT}):
         kinds = ", ".join(f"{p.name} is {f}" for p, f in zip(files, formats, strict=True))
         raise InputError(f"the files are no parts of one recording: {kinds}")
-    if formats[0] == TEXT:
-        return _text_source(files)
-    return _message_log(files, formats, losses)
+    is_text = formats[0] == TEXT
+    source = _text_source(files) if is_text else _message_log(files, formats, losses)
+    source.twice = tuple(twice)
+    return source
+
+
+def _distinct(files: list[Path]) -> tuple[list[Path], list[str]]:
+    """The files without those that are there already or equal another byte by byte; and these.
+
+    Raises InputError where a file cannot be read.
+    """
+    kept: dict[Path, Path] = {}
+    twice = [
+        f"{path.name} is given twice: it is read once"
+        for path in files
+        if kept.setdefault(path.resolve(), path) is not path
+    ]
+    by_size: dict[int, list[Path]] = {}
+    for path in kept.values():
+        try:
+            if path.is_file():
+                by_size.setdefault(path.stat().st_size, []).append(path)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    for alike in by_size.values():
+        originals: dict[bytes, Path] = {}
+        for path in alike if len(alike) > 1 else ():
+            original = originals.setdefault(_digest(path), path)
+            if original is not path:
+                del kept[path.resolve()]
+                names = path.name, original.name
+                if names[0] == names[1]:
+                    names = f"{path.parent.name}/{names[0]}", f"{original.parent.name}/{names[1]}"
+                twice.append(f"{names[0]} is a copy of {names[1]}: it is read once")
+    return list(kept.values()), twice
+
+
+def _digest(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").digest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _files(path: Path, losses: list[str]) -> list[Path]:

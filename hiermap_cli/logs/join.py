@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from collections import Counter
     from collections.abc import Iterable, Iterator
 
+    from numpy.typing import NDArray
+
     from hiermap_cli.logs.clock import Timed
     from hiermap_cli.logs.records import Mount
 
@@ -23,6 +25,7 @@ PENDING = 2048  # scans that wait for an odometry reading after them
 FARTHEST = 1e7  # metres; odometry beyond is a damaged number
 
 _TURN = 2.0 * math.pi
+_REPEATS = 8  # a block has at most so many times its size, however many scans are repeated
 
 
 class JoinedScan(NamedTuple):
@@ -32,6 +35,7 @@ class JoinedScan(NamedTuple):
     scan: Scan
     pose: Pose
     has_odometry: bool
+    repeated: bool = False
 
 
 def join(records: Iterable[Timed], first: Odometry, counts: Counter[str]) -> Iterator[JoinedScan]:
@@ -145,19 +149,24 @@ def in_blocks(
     size: int,
     counts: Counter[str],
 ) -> Iterator[ScanBlock]:
-    """Blocks of at most `size` successive scans of one geometry.
+    """Blocks of at most `size` successive scans of one geometry, repeated ones not counted.
 
     A scan without beams, or whose angles are nonsense, has the geometry of the scan before it
     (`first` at the beginning) and says nothing. `counts` gets `scans` and, of these,
-    `repeated_stamp`, `no_beams` and `no_valid_range`.
+    `repeated_stamp` and of these `repeated_scan`, `no_beams` and `no_valid_range`.
     """
     block: list[JoinedScan] = []
     laser = first
-    previous: int | None = None
+    previous: JoinedScan | None = None
+    new = 0
     for joined in scans:
         counts["scans"] += 1
-        counts["repeated_stamp"] += joined.time_ns == previous
-        previous = joined.time_ns
+        if previous is not None and joined.time_ns == previous.time_ns:
+            counts["repeated_stamp"] += 1
+            if _same_scan(joined.scan, previous.scan):
+                counts["repeated_scan"] += 1
+                joined = joined._replace(repeated=True)  # noqa: PLW2901
+        previous = joined
         own = joined.scan.laser
         if not sound_geometry(own):
             counts["no_beams"] += 1
@@ -166,14 +175,20 @@ def in_blocks(
         elif own != laser:
             if block:
                 yield _block(block, laser, mount, counts)
-                block = []
+                block, new = [], 0
             laser = own
         block.append(joined)
-        if len(block) == size:
+        new += not joined.repeated
+        # So that what is new comes in the same blocks with and without repeats.
+        if new == size or len(block) == _REPEATS * size:
             yield _block(block, laser, mount, counts)
-            block = []
+            block, new = [], 0
     if block:
         yield _block(block, laser, mount, counts)
+
+
+def _same_scan(a: Scan, b: Scan) -> bool:
+    return a.laser == b.laser and np.array_equal(a.ranges, b.ranges, equal_nan=True)
 
 
 def _block(
@@ -188,7 +203,16 @@ def _block(
         has_odometry=np.array([joined.has_odometry for joined in scans], dtype=np.bool_),
         laser=laser,
         mount=mount,
+        repeated=_repeated(scans),
     )
     for array in (block.stamps_ns, block.ranges, block.odometry, block.has_odometry):
         array.flags.writeable = False
     return block
+
+
+def _repeated(scans: list[JoinedScan]) -> NDArray[np.bool_] | None:
+    if not any(joined.repeated for joined in scans):
+        return None
+    repeated = np.array([joined.repeated for joined in scans], dtype=np.bool_)
+    repeated.flags.writeable = False
+    return repeated

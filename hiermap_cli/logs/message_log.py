@@ -31,6 +31,7 @@ class MessageLog:
         self, log_format: str, containers: Sequence[Container], losses: Sequence[str] = ()
     ) -> None:
         self.format = log_format
+        self.twice: tuple[str, ...] = ()
         self._containers = ordered(containers)
         self._found = [*losses, *(loss for c in self._containers for loss in c.losses)]
         self.losses = list(self._found)

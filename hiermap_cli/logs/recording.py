@@ -62,6 +62,7 @@ def open_recording(paths: Sequence[Path], options: InputConfig) -> Recording:
 def planned(source: Source, log: str, options: InputConfig) -> Recording:
     """A source with the plan by which it is read. Raises InputError as `open_recording` does."""
     plan = make_plan(source, log, options)
+    plan = plan._replace(warnings=(*source.twice, *plan.warnings))
     if len(source.paths) > 1:
         from hiermap_cli.logs.parts import check_parts
 
@@ -72,7 +73,8 @@ def planned(source: Source, log: str, options: InputConfig) -> Recording:
 def log_name(paths: Sequence[Path]) -> str:
     """How messages and reports call the log: no folder, for results are the same anywhere."""
     first = paths[0].resolve().name if paths[0].name in ("", "..") else paths[0].name
-    return first if len(paths) == 1 else f"{first} and {len(paths) - 1} more"
+    more = len({path.resolve() for path in paths}) - 1
+    return f"{first} and {more} more" if more else first
 
 
 class Recording:
@@ -107,9 +109,10 @@ class Recording:
         yield from self.watch.records(self._in_order())
 
     def blocks(self, size: int = 512) -> Iterator[ScanBlock]:
-        """All scans in time order, in blocks of at most `size`, joined with odometry.
+        """All scans in time order, joined with odometry, in blocks of at most `size`.
 
-        Raises InputError at the end where no scan was read, or none with a valid range.
+        Repeated scans do not count towards `size`. Raises InputError at the end where no scan was
+        read, or none with a valid range.
         """
         watch = self.watch = self._new_watch()
         settled = watch.records(self._in_order())
@@ -154,6 +157,8 @@ class Recording:
     def _late_warnings(self) -> list[str]:
         """What only reading shows."""
         out = self.watch.warnings() if self.watch is not None else []
+        if n := self._counts["repeated_scan"]:
+            out.append(f"{n} scans are in the log twice, with the same stamp: they count once")
         if n := self._counts["clock_set_back"]:
             out.append(f"the clock was set back {n} times: later stamps are carried on from there")
         return out

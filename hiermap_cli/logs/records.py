@@ -123,6 +123,8 @@ class ScanBlock:
     odometry: (B, 3) float64, the robot in the odometry's frame at each stamp; for scans before
         the first reading it is the first reading.
     has_odometry: (B,) bool, False where no reading brackets or precedes the stamp.
+    repeated: (B,) bool, True where stamp and ranges are those of the scan before, which may be the
+        last one of the block before; None where no scan is.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -131,6 +133,7 @@ class ScanBlock:
     has_odometry: NDArray[np.bool_]
     laser: LaserGeometry
     mount: Mount
+    repeated: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -144,4 +147,5 @@ class ScanBlock:
             has_odometry=self.has_odometry[places],
             laser=self.laser,
             mount=self.mount,
+            repeated=None if self.repeated is None else self.repeated[places],
         )

@@ -32,6 +32,7 @@ class Source(Protocol):
     paths: list[Path]
     format: str
     losses: list[str]
+    twice: tuple[str, ...]  # what to say of files that were given more than once
 
     def topics(self) -> list[Topic]:
         """The topics as far as they are known without reading the whole."""

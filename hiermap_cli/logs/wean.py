@@ -35,6 +35,7 @@ class WeanLog:
 
     def __init__(self, paths: Sequence[Path]) -> None:
         self.paths = list(paths)
+        self.twice: tuple[str, ...] = ()
         self.losses: list[str] = []
 
     def topics(self) -> list[Topic]:

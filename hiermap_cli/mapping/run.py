@@ -10,6 +10,7 @@ from hiermap_cli.errors import InputError
 from hiermap_cli.mapping.assembly import assemble
 from hiermap_cli.mapping.filtering import run_filter
 from hiermap_cli.mapping.levels import compose_levels
+from hiermap_cli.mapping.repeats import Repeats
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -26,18 +27,26 @@ def map_log(
     """Builds the map of a log's scans, in the order of time.
 
     Args:
-        blocks: scans joined with odometry; gone through once.
+        blocks: scans joined with odometry; gone through once. Repeated scans are left out of the
+            map, and have a line of the trajectory each.
         config: of the whole run.
-        progress: told the number of scans worked off, after each block.
+        progress: told the number of scans worked off, after each block, without repeated ones.
 
     Raises:
         InputError: there is no scan.
     """
     mounts: list[float] = []
-    mapper, timing = run_filter(_mounted(blocks, mounts), config, progress)
+    repeats = Repeats()
+    distinct = repeats.left_out(_mounted(blocks, mounts))
+    mapper, timing = run_filter(distinct, config, progress)
     if not mapper.areas:
         raise InputError("the log holds no scan to map; `hiermap inspect` shows what it holds")
-    return finish(mapper, timing, mounts[0])
+    result = finish(mapper, timing, mounts[0])
+    return replace(
+        result,
+        trajectory=repeats.restored(result.trajectory),
+        trajectory_filter=repeats.restored(result.trajectory_filter),
+    )
 
 
 def finish(mapper: Mapper, timing: dict[str, float], laser_x: float) -> MapResult:
