@@ -7,6 +7,12 @@ program and keeps its traceback.
 
 from __future__ import annotations
 
+import errno
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
 EXIT_OK = 0
 EXIT_INPUT = 1
 EXIT_USAGE = 2
@@ -46,3 +52,17 @@ class ConfigurationError(UsageError):
         self.source = source
         self.faults = list(faults)
         super().__init__(f"{source}: " + "; ".join(faults))
+
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+
+
+def output_error(path: Path, error: OSError, option: str = "-o") -> HiermapError:
+    """The error of hiermap for what the system said when `path` was written.
+
+    `option` is the one by which a person can choose another place.
+    """
+    reason = error.strerror or str(error)
+    if error.errno in _FULL:
+        return OutputError(f"{path}: cannot be written ({reason}); nothing was left there")
+    return UsageError(f"{path}: cannot be written ({reason}); choose another place with {option}")

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from hiermap_cli.errors import InputError, OutputError, UsageError
+from hiermap_cli.errors import InputError, UsageError
 from hiermap_cli.logs import cdr_write, foxglove, ros_decode, ros_definitions
 from hiermap_cli.logs.decoders import DECODE_ERRORS, MEANINGS
 from hiermap_cli.logs.mcap_writer import RosMcapWriter
@@ -267,6 +267,6 @@ def test_a_file_that_exists_is_replaced_only_when_told(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["x.mcap"]
 
 
-def test_a_folder_that_is_not_there_is_an_output_error(tmp_path):
-    with pytest.raises(OutputError, match="cannot be written"):
+def test_a_folder_that_is_not_there_is_wrong_usage(tmp_path):
+    with pytest.raises(UsageError, match="cannot be written.*another place with -o"):
         RosMcapWriter(tmp_path / "none" / "x.mcap", None).__enter__()

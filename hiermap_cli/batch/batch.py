@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from contextlib import closing
 from pathlib import Path
@@ -12,8 +13,7 @@ from hiermap_cli.batch.executors import LocalExecutor
 from hiermap_cli.batch.folder_lock import Shard, lock_folder, lock_path, summary_lock
 from hiermap_cli.batch.job import kept_outcome
 from hiermap_cli.batch.summary import (
-    JUNIT,
-    MARKDOWN,
+    REPORTS,
     SUMMARY,
     Row,
     Tally,
@@ -21,8 +21,8 @@ from hiermap_cli.batch.summary import (
     write_reports,
     write_summary,
 )
-from hiermap_cli.documents.folder import output_error
-from hiermap_cli.errors import HiermapError, InputError
+from hiermap_cli.documents.own_files import begins
+from hiermap_cli.errors import HiermapError, InputError, UsageError, output_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -79,12 +79,13 @@ def run_batch(
         How many jobs of this shard ended how.
 
     Raises:
-        UsageError: another batch works in the folder, it cannot be written, or no scheduler
-            answers.
+        UsageError: another batch works in the folder, it cannot be written or holds a report
+            that is none of a batch, or no scheduler answers.
         OutputError: the reports cannot be written.
     """
     view, options = view or View(), options or Options()
     shard = options.shard
+    _check_reports(folder, shard)
     with lock_folder(folder, shard) as handles:
         workshops = folder / UNFINISHED / shard.label
         try:
@@ -119,11 +120,21 @@ def _limited(job: Job, options: Options) -> Job:
     return job
 
 
+def _check_reports(folder: Path, shard: Shard) -> None:
+    """Whether the reports in the folder may be replaced: only those that a batch has written."""
+    for name in (*REPORTS, _shard_summary(shard)):
+        path = folder / name
+        if os.path.lexists(path) and not begins(path, REPORTS.get(name, REPORTS[SUMMARY])):
+            raise UsageError(
+                f"{path}: exists and is none that a batch wrote; remove it or choose another -o"
+            )
+
+
 def _clear(folder: Path, workshops: Path, shard: Shard) -> None:
     """Removes what a killed batch had not finished, and the reports that will be untrue."""
     shutil.rmtree(workshops, ignore_errors=True)
     workshops.mkdir(parents=True)
-    names = (SUMMARY, JUNIT, MARKDOWN) if shard.is_whole else (_shard_summary(shard),)
+    names = tuple(REPORTS) if shard.is_whole else (_shard_summary(shard),)
     for name in names:
         (folder / name).unlink(missing_ok=True)
         # Nobody else writes here, so that what has its temporary name was never finished.

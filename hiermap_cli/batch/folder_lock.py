@@ -14,8 +14,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hiermap_cli.documents.folder import output_error
-from hiermap_cli.errors import UsageError
+from hiermap_cli.errors import UsageError, output_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

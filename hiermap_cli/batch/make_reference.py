@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import pydantic_core
 
-from hiermap_cli.documents.folder import output_file
+from hiermap_cli.documents.folder import check_files, output_file
 from hiermap_cli.documents.occupancy import read_map_server
+from hiermap_cli.documents.own_files import Output, document
 from hiermap_cli.documents.reference import reference_document
 from hiermap_cli.documents.rooms_image import read_rooms
 from hiermap_cli.documents.tum import read_tum
@@ -33,8 +34,11 @@ def make_reference(
 
     Raises:
         InputError: the map, the image or the trajectory cannot be used.
-        UsageError: `output` exists and `force` is not given, or cannot be written.
+        UsageError: `output` exists and `force` is not given, is an input or no reference map,
+            or cannot be written.
     """
+    inputs = [path for path in (map_file, rooms, trajectory) if path is not None]
+    check_files([Output("-o", output, document("hiermap-reference"))], inputs)
     if output.exists() and not force:
         raise UsageError(f"{output}: exists already; --force replaces it")
     grid = read_map_server(map_file)

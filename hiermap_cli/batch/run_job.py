@@ -27,14 +27,21 @@ from hiermap_cli.batch.memory import peak_bytes
 from hiermap_cli.batch.remote import fetch, remote_state, remove, shown
 from hiermap_cli.batch.run_log import MappedLog, Observer, RunOutcome
 from hiermap_cli.config import Config
-from hiermap_cli.documents.folder import output_folder
+from hiermap_cli.documents.folder import check_output, output_folder
+from hiermap_cli.documents.own_files import Contents, document
+from hiermap_cli.documents.results import RESULT
 from hiermap_cli.errors import HiermapError, InputError
 from hiermap_cli.evaluation.limits import parse_limit
 
 if TYPE_CHECKING:
     from hiermap_cli.documents.eval_file import EvalDocument
 
-MARKS = (Record.NAME,)  # only what a batch has made is replaced by a batch
+# Only what a batch has made is replaced by a batch. A record that is no JSON any more is damaged.
+RESULT_OF_A_JOB = Contents(
+    "an earlier result of a batch",
+    (Record.NAME,),
+    {**RESULT.files, Record.NAME: document(Record.FORMAT) + rb"|\s*\{?\s*\Z"},
+)
 _TRACEBACK = 20_000  # characters
 
 
@@ -142,7 +149,7 @@ class _Work:
     def _judged_again(self, record: Record) -> Outcome:
         """The earlier run under new limits, or against another truth."""
         with output_folder(
-            self._target, force=True, marks=MARKS, workshop=self._workshop
+            self._target, RESULT_OF_A_JOB, force=True, workshop=self._workshop
         ) as folder:
             for name in record.row["files"]:
                 if name != EVAL:
@@ -158,13 +165,15 @@ class _Work:
         seen_ns = time.time_ns()
         paths = {role: Path(path) for role, path in job.inputs().items()} | {"log": log}
         before = {role: file_state(path) for role, path in paths.items()}
+        files = list(paths.values())
+        check_output(self._target, RESULT_OF_A_JOB, force=True, inputs=files)
         self._take_away()
         mapped = MappedLog([log], Config.model_validate(job.config.values), self._observer)
         # Of a single file the run has hashed the very bytes that it read.
         known = {"log": mapped.source.sha256} if log.is_file() else {}
         digests = {role: known.get(role) or content_digest(path) for role, path in paths.items()}
         with output_folder(
-            self._target, force=True, marks=MARKS, inputs=[log], workshop=self._workshop
+            self._target, RESULT_OF_A_JOB, force=True, inputs=files, workshop=self._workshop
         ) as folder:
             run = mapped.write(folder)
             del mapped

@@ -11,7 +11,7 @@ import numpy as np
 
 from hiermap_cli.documents.folder import check_output, output_folder
 from hiermap_cli.documents.report_file import report_json
-from hiermap_cli.documents.results import REPORT, write_result
+from hiermap_cli.documents.results import REPORT, RESULT, write_result
 from hiermap_cli.logs.expected import expected_scans
 from hiermap_cli.logs.recording import open_recording
 from hiermap_cli.mapping.metrics import model_metrics, trajectory_metrics
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import Config
     from hiermap_cli.logs.records import ScanBlock
-    from hiermap_cli.mapping.model import Event, MapResult, Metric
+    from hiermap_cli.mapping.model import Event, HierarchicalModel, MapResult, Metric
 
 _SHOWN = 5  # losses of a damaged log that are said aloud
 ENDING = ".hiermap"
@@ -88,12 +88,12 @@ def run_log(
 
     Raises:
         InputError: the log cannot be used.
-        UsageError: `output` exists and `force` is not given, or cannot be written.
+        UsageError: `output` exists and may not be replaced, or cannot be written.
         OutputError: the disk is full.
     """
-    check_output(output, force=force, inputs=paths)
+    check_output(output, RESULT, force=force, inputs=paths)
     mapped = MappedLog(paths, config, observer)
-    with output_folder(output, force=force, inputs=paths) as folder:
+    with output_folder(output, RESULT, force=force, inputs=paths) as folder:
         outcome = mapped.write(folder)
     return replace(outcome, output=Path(output))
 
@@ -121,11 +121,15 @@ class MappedLog:
             observer.warned(warning)
         clock.lap("open")
         watched = _Watched(observer)
-        self._result = result = map_log(watched.through(recording.blocks()), config)
+        self._result = result = map_log(
+            watched.through(recording.blocks()), config, watched.worked_off
+        )
         self._timing = {**clock.laps, "read": watched.seconds, **result.timing}
         clock.lap("map")
         observer.entered("writing")
-        self.source = source = recording.report()
+        source = recording.report()
+        empty = _empty(result.model, source.scans)
+        self.source = source = replace(source, warnings=(*source.warnings, *empty))
         late = (*source.warnings[len(recording.plan.warnings) :], *_some(source.lost))
         for warning in late:
             observer.warned(warning)
@@ -171,6 +175,19 @@ def _some(lost: tuple[str, ...]) -> tuple[str, ...]:
     return lost if more <= 0 else (*lost[:_SHOWN], f"and {more} losses more, see {REPORT}")
 
 
+def _empty(model: HierarchicalModel, scans: int) -> tuple[str, ...]:
+    """A warning where there is a model, but nothing in it."""
+    if model.landmarks:
+        return ()
+    counted = f"{scans} {'scan' if scans == 1 else 'scans'}"
+    said = (
+        f"no landmarks were found in {counted}: the model holds no walls, corners or doors; give a "
+        "longer part of the log, in which the robot moves among walls, or see with `hiermap "
+        "inspect` whether the log is whole and the laser's ranges and mount are right"
+    )
+    return (said,)
+
+
 class _Clock:
     """Seconds of processor time between laps, and of both kinds since the beginning."""
 
@@ -188,15 +205,20 @@ class _Clock:
 
 
 class _Watched:
-    """Passes blocks on, and keeps what the report needs of them: odometry and reading time."""
+    """Passes blocks on, and keeps what the report needs of them: odometry and reading time.
+
+    Tells the observer how many scans the filter has worked off, and when it is through.
+    """
 
     def __init__(self, observer: Observer) -> None:
         self._observer = observer
         self._odometry: list[NDArray[np.float64]] = []
+        self._read = self._done = 0
+        self._at_end = False
         self.seconds = 0.0
 
     def through(self, blocks: Iterable[ScanBlock]) -> Iterator[ScanBlock]:
-        """The blocks; one is counted as worked off when the next is asked for."""
+        """The blocks, as they are asked for."""
         iterator = iter(blocks)
         while True:
             begin = time.process_time()
@@ -205,8 +227,24 @@ class _Watched:
             if block is None:
                 break
             self._odometry.append(block.odometry)
+            self._read += len(block)
             yield block
-            self._observer.advanced(len(block))
+        self._at_end = True
+        # Of a short log all is read to learn the noise, before the filter begins.
+        if self._done:
+            self._finish()
+
+    def worked_off(self, scans: int) -> None:
+        """The filter has used so many more scans."""
+        self._done += scans
+        self._observer.advanced(scans)
+        if self._at_end and self._done >= self._read:
+            self._finish()
+
+    def _finish(self) -> None:
+        if self._done < self._read:  # those that the mapper leaves out
+            self._observer.advanced(self._read - self._done)
+            self._done = self._read
         self._observer.entered("refining")
 
     def odometry(self) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ import pydantic_core
 from hiermap_cli.batch.content import read_record
 from hiermap_cli.batch.job import Outcome, failed
 from hiermap_cli.batch.quantities import bytes_text, seconds_text
+from hiermap_cli.documents import own_files
 from hiermap_cli.documents.folder import output_file
 from hiermap_cli.documents.junit import Case, write_junit
 from hiermap_cli.documents.markdown import figure, markdown_table
@@ -27,6 +28,12 @@ if TYPE_CHECKING:
 FORMAT = "hiermap-summary"
 VERSION = (1, 0)
 SUMMARY, JUNIT, MARKDOWN = "summary.json", "junit.xml", "summary.md"
+# How each begins: what begins otherwise is none of a batch.
+REPORTS = {
+    SUMMARY: own_files.document(FORMAT),
+    JUNIT: own_files.JUNIT,
+    MARKDOWN: own_files.MARKDOWN,
+}
 _WRITTEN = ("name", "status", "reason", "metrics", "seconds", "peak_memory", "scans", "limits",
             "warnings")  # fmt: skip
 _MAX_DONE = 500  # rows of jobs without a fault in Markdown: CI systems show a megabyte at most

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import click
 
 from hiermap_cli.commands.boundary import session
+from hiermap_cli.commands.common_options import PATH
 from hiermap_cli.errors import EXIT_OK
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from hiermap_cli.batch.folder_lock import Shard
 
@@ -49,13 +50,13 @@ def _shard(ctx: click.Context, param: click.Parameter, text: str | None) -> Shar
 
 
 @click.command("batch", short_help="Run and evaluate many logs.")
-@click.argument("jobs_file", metavar="JOBS", type=click.Path(path_type=Path))
+@click.argument("jobs_file", metavar="JOBS", type=PATH)
 @click.option(
     "-o",
     "--output",
     metavar="DIR",
     required=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Folder of the results; what an earlier batch has finished there is kept.",
 )
 @click.option(

@@ -62,6 +62,9 @@ def boundary(state: Session) -> Iterator[None]:
         # Whoever read our stdout has seen enough, as `| head` does.
         silence(sys.stdout.fileno())
         raise click.exceptions.Exit(EXIT_OK) from None
+    except PermissionError as error:
+        _say(f"{error.filename or 'a file'}: cannot be used ({error.strerror})")
+        raise click.exceptions.Exit(EXIT_INPUT) from None
     except OSError as error:
         if error.errno != errno.ENOSPC:
             _say_fault(error, state)

@@ -12,7 +12,21 @@ if TYPE_CHECKING:
 
     Decorator = Callable[[Callable[..., None]], Callable[..., None]]
 
-PATH = click.Path(path_type=Path)
+
+class PathName(click.Path):
+    """A path that is not empty; whether it can be read is told by whoever reads it."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path, readable=False)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path. An empty text would mean the working folder, which nobody asked for."""
+        if value == "":
+            self.fail("is empty; a file or a folder must have a name", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = PathName()
 
 
 def path_option(*names: str, metavar: str = "FILE", **more: Any) -> Decorator:

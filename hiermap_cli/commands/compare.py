@@ -53,8 +53,8 @@ def command(
     """
     import pydantic_core
 
-    from hiermap_cli.commands.ci import write_summary
-    from hiermap_cli.documents.eval_file import read_eval
+    from hiermap_cli.commands.ci import check_written, write_summary
+    from hiermap_cli.documents.eval_file import EVAL, read_eval
     from hiermap_cli.documents.eval_text import table_lines
     from hiermap_cli.documents.junit import Case, write_junit
     from hiermap_cli.documents.markdown import figure, markdown_table, markdown_text
@@ -62,6 +62,8 @@ def command(
 
     session().verbose = verbose
     asked = [parse_rule(text) for text in rules]
+    inputs = [path / EVAL if path.is_dir() else path for path in (baseline, candidate)]
+    check_written([], summary, junit, inputs)
     comparison = compare(read_eval(baseline), read_eval(candidate), asked)
     head = ["metric", "baseline", "candidate", "change", "%"]
     rows = [
@@ -81,7 +83,7 @@ def command(
             Case(one.rule.text, "compare", failure=None if one.passed else one.said)
             for one in comparison.outcomes
         ]
-        write_junit(junit, "hiermap compare", cases)
+        write_junit(junit, "hiermap compare", cases, "--junit")
     if as_json:
         click.echo(pydantic_core.to_json(comparison.document(), indent=1))
     if not quiet:

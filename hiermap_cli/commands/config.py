@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+from hiermap_cli.commands.common_options import PATH
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @click.command("config", short_help="Print the default configuration as YAML.")
@@ -12,7 +17,7 @@ import click
     "--config",
     "file",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Print the effective configuration with this file's values instead of the defaults.",
 )
 def command(file: Path | None) -> None:

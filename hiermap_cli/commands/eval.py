@@ -75,8 +75,12 @@ def command(
     Exit status: 0 if all limits hold, 1 if an input cannot be used, 3 if a limit is missed.
     """
     from hiermap_cli.batch.evaluate_run import EVAL, judge_run, read_truth, write_eval
+    from hiermap_cli.commands.ci import check_written
+    from hiermap_cli.documents.eval_file import FORMAT as EVAL_FORMAT
     from hiermap_cli.documents.eval_file import eval_json
     from hiermap_cli.documents.eval_text import eval_lines
+    from hiermap_cli.documents.own_files import PICTURE, Output, document
+    from hiermap_cli.documents.results import RESULT
     from hiermap_cli.evaluation.limits import parse_limit
 
     target = output if output is not None else folder / EVAL
@@ -86,6 +90,16 @@ def command(
         raise UsageError("give at least one of --reference, --trajectory and --relations")
     if overlay is not None and reference is None:
         raise UsageError("--overlay draws the model over a reference map: give --reference too")
+    if overlay is not None and overlay.suffix.lower() != ".svg":
+        raise UsageError(f"{overlay}: --overlay writes SVG: give it a name that ends in .svg")
+    outputs = [Output("-o", target, document(EVAL_FORMAT))]
+    if overlay is not None:
+        outputs.append(Output("--overlay", overlay, PICTURE))
+    read = (reference, rooms, trajectory, relations, limits_file)
+    # Of the run itself, whatever of it is read: all of it is wanted afterwards.
+    inputs = [folder / name for name in RESULT.files if name != EVAL]
+    inputs += [path for path in read if path is not None]
+    check_written(outputs, summary, junit, inputs)
     asked = [parse_limit(text) for text in limits]
     if limits_file is not None:
         from hiermap_cli.batch.limits_file import read_limits  # reads YAML as configurations do
@@ -93,16 +107,16 @@ def command(
         asked += read_limits(limits_file)
     given = read_truth(reference, trajectory, relations, rooms)
     judgement = judge_run(folder, given, asked)
-    document = judgement.document
-    write_eval(target, document)
+    evaluation = judgement.document
+    write_eval(target, evaluation)
     _write_more(judgement, given, folder.resolve().name, summary, junit, overlay)
     if as_json:
-        click.echo(eval_json(document), nl=False)
+        click.echo(eval_json(evaluation), nl=False)
     if not quiet:
-        for line in eval_lines(document):
+        for line in eval_lines(evaluation):
             click.echo(line, err=True)
     _warn(judgement, overlay)
-    raise click.exceptions.Exit(EXIT_OK if document.passed else EXIT_LIMIT)
+    raise click.exceptions.Exit(EXIT_OK if evaluation.passed else EXIT_LIMIT)
 
 
 def _write_more(
@@ -121,12 +135,12 @@ def _write_more(
     if junit is not None:
         from hiermap_cli.documents.junit import write_junit
 
-        write_junit(junit, "hiermap eval", eval_cases(judgement.document, name))
+        write_junit(junit, "hiermap eval", eval_cases(judgement.document, name), "--junit")
     if overlay is not None and judgement.placed is not None and judgement.findings is not None:
         from hiermap_cli.figures.overlay import overlay_svg
 
         picture = overlay_svg(judgement.placed, judgement.findings, given.reference, given.grid)
-        with output_file(overlay) as temporary:
+        with output_file(overlay, "--overlay") as temporary:
             temporary.write_text(picture, encoding="utf-8", newline="\n")
 
 

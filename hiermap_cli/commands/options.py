@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import math
 from functools import wraps
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
+
+from hiermap_cli.commands.common_options import PATH
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -99,9 +100,7 @@ def log_options(function: Callable[..., None]) -> Callable[..., None]:
 
 
 _OPTIONS = (
-    click.argument(
-        "logs", nargs=-1, required=True, metavar="LOG...", type=click.Path(path_type=Path)
-    ),
+    click.argument("logs", nargs=-1, required=True, metavar="LOG...", type=PATH),
     click.option("--scan-topic", metavar="NAME", help="Topic of the scans, where several fit."),
     click.option(
         "--odom-topic",

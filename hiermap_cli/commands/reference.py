@@ -27,7 +27,7 @@ from hiermap_cli.commands.common_options import PATH, path_option, said_options
     default=Path("reference.json"),
     help="The file to write; reference.json if not given.",
 )
-@click.option("--force", is_flag=True, help="Replace FILE if it exists.")
+@click.option("--force", is_flag=True, help="Replace FILE if it is a reference map.")
 @said_options()
 def command(
     map_file: Path,

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from hiermap_cli.commands.boundary import session
+from hiermap_cli.commands.common_options import PATH
 from hiermap_cli.commands.options import InputOptions, log_options
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from hiermap_cli.batch.run_log import RunOutcome
 
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     "-o",
     "--output",
     metavar="DIR",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Folder to write; LOG's own path with the ending .hiermap if not given.",
 )
 @click.option("--force", is_flag=True, help="Replace an earlier result in DIR.")
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     "--config",
     "config_file",
     metavar="FILE",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Configuration; see `hiermap config`.",
 )
 @click.option(

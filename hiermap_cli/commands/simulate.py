@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from hiermap_cli.commands.common_options import PATH
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
 
 @click.command("simulate", short_help="Make a log, its truth and its reference map.")
-@click.argument("world", type=click.Path(path_type=Path), metavar="WORLD")
+@click.argument("world", type=PATH, metavar="WORLD")
 @click.option(
     "-o",
     "--output",
     "output",
     required=True,
     metavar="DIR",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Folder to write log.mcap, truth.tum and reference.json into.",
 )
 @click.option(
@@ -46,17 +51,17 @@ def command(
 
     \b
         hiermap simulate datasets/room.yaml -o room --seed 1
-        hiermap run room/log.mcap
+        hiermap run room/log.mcap -o room.hiermap
     """
     import numpy as np
 
     from hiermap_cli.documents.folder import output_folder
-    from hiermap_cli.simulation.output import FILES, write
+    from hiermap_cli.simulation.output import SIMULATION, write
     from hiermap_cli.simulation.simulator import simulate
     from hiermap_cli.simulation.world import load_world
 
     floor = load_world(world)
-    with output_folder(output, force=force, marks=FILES, inputs=(world,)) as folder:
+    with output_folder(output, SIMULATION, force=force, inputs=(world,)) as folder:
         rng = np.random.default_rng(seed)
         simulation = simulate(floor, rng, noiseless=noiseless or noise == "none")
         scans = len(simulation.stamps_ns)

@@ -4,11 +4,11 @@ Everything goes into a folder of a temporary name beside the wanted one, is flus
 and is renamed in one step. A command that dies leaves at most a hidden folder behind (its name
 begins with a dot and the wanted name), never half an output. Where an older result is replaced,
 it is moved aside first and removed last, so that one of the two is on the disk at any moment.
+A folder is only replaced if hiermap has written everything in it.
 """
 
 from __future__ import annotations
 
-import errno
 import os
 import secrets
 import shutil
@@ -16,26 +16,22 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hiermap_cli.errors import HiermapError, OutputError, UsageError
+from hiermap_cli.documents.own_files import output_fault
+from hiermap_cli.errors import UsageError, output_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
-RESULT_MARKS = ("model.json", "report.json")
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+    from hiermap_cli.documents.own_files import Contents, Output
 
 
 def check_output(
-    folder: Path,
-    *,
-    force: bool,
-    marks: Sequence[str] = RESULT_MARKS,
-    inputs: Sequence[Path] = (),
+    folder: Path, contents: Contents, *, force: bool, inputs: Sequence[Path] = ()
 ) -> None:
     """Whether `folder` may be written, asked before the work and not after it.
 
-    With `force` an existing folder may be replaced if it is empty or holds one of the files
-    named in `marks`, so that a slip of the hand does not remove somebody's own folder.
+    An empty folder may be used. With `force` one may be replaced that holds `contents` and
+    nothing else, so that a slip of the hand does not remove somebody's own files.
 
     Raises:
         UsageError: the folder exists and may not be replaced, holds one of `inputs`, or its
@@ -43,60 +39,78 @@ def check_output(
     """
     folder = Path(os.path.realpath(folder))
     if os.path.lexists(folder):
-        if not force:
-            raise UsageError(f"{folder}: exists already; --force replaces it")
-        if not folder.is_dir():
-            raise UsageError(f"{folder}: is a file, not a folder; choose another output folder")
-        _check_replaceable(folder, marks, inputs)
+        _check_existing(folder, contents, force=force, inputs=inputs)
     _check_writable(folder)
 
 
-def _check_writable(folder: Path) -> None:
+def _check_writable(folder: Path, option: str = "-o") -> None:
     """Whether the nearest folder above that exists takes new names; nothing is made."""
     above = next(parent for parent in folder.parents if os.path.lexists(parent))
     if not above.is_dir():
-        raise UsageError(f"{folder}: cannot be written ({above} is a file)")
+        raise UsageError(
+            f"{folder}: cannot be written ({above} is a file); choose another place with {option}"
+        )
     if not os.access(above, os.W_OK | os.X_OK):
         raise UsageError(
-            f"{folder}: cannot be written ({above} takes no new files); choose another -o"
+            f"{folder}: cannot be written ({above} takes no new files); "
+            f"choose another place with {option}"
         )
 
 
-def _check_replaceable(folder: Path, marks: Sequence[str], inputs: Sequence[Path]) -> None:
+def _check_existing(
+    folder: Path, contents: Contents, *, force: bool, inputs: Sequence[Path]
+) -> None:
+    """Whether what is there may give way. What --force would not help against is said first."""
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: is a file, not a folder; choose another output folder")
     for path in inputs:
         if folder in (real := Path(os.path.realpath(path))).parents or real == folder:
             raise UsageError(f"{folder}: holds the input {path}; choose another output folder")
-    if folder == Path.cwd() or folder in Path.cwd().parents:
-        raise UsageError(f"{folder}: is the working folder; choose another output folder")
-    try:
-        names = sorted(path.name for path in folder.iterdir())
-    except OSError as error:
-        raise output_error(folder, error) from None
-    if names and not set(names) & set(marks):
+    here = Path.cwd()
+    if folder == here or folder in here.parents:
         raise UsageError(
-            f"{folder}: holds {names[0]} and no {' or '.join(marks)}, so it is no earlier result; "
-            "--force does not replace it: remove it or choose another output folder"
+            f"{folder}: is the working folder or one above it; choose another output folder"
         )
+    if os.path.ismount(folder):
+        raise UsageError(f"{folder}: is a mount point; choose a folder in it")
+    _check_contents(folder, folder, contents, force=force)
+
+
+def _check_contents(folder: Path, shown: Path, contents: Contents, *, force: bool) -> None:
+    try:
+        if not any(folder.iterdir()):
+            return
+        fault = contents.fault(folder)
+    except OSError as error:
+        raise output_error(shown, error) from None
+    if fault is not None:
+        raise UsageError(
+            f"{shown}: {fault}; --force does not replace that: "
+            "remove it or choose another output folder"
+        )
+    if not force:
+        raise UsageError(f"{shown}: exists already; --force replaces it")
 
 
 @contextmanager
 def output_folder(
     folder: Path,
+    contents: Contents,
     *,
     force: bool = False,
-    marks: Sequence[str] = RESULT_MARKS,
     inputs: Sequence[Path] = (),
     workshop: Path | None = None,
 ) -> Iterator[Path]:
     """A new, empty folder to write into, which becomes `folder` when the block ends well.
 
+    `contents` is what an earlier one holds that `force` may replace, see `check_output`.
     `workshop` is where it lies until then: a folder on the same disk, beside `folder` if None.
 
     Raises:
         UsageError: as `check_output`.
         OutputError: the disk is full or fails.
     """
-    check_output(folder, force=force, marks=marks, inputs=inputs)
+    check_output(folder, contents, force=force, inputs=inputs)
     folder = Path(os.path.realpath(folder))
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -107,7 +121,7 @@ def output_folder(
     try:
         yield temporary
         _flush(temporary)
-        _move_into_place(temporary, folder, force=force, workshop=workshop)
+        _move_into_place(temporary, folder, contents, force=force, workshop=workshop)
     except OSError as error:
         raise output_error(folder, error) from error
     finally:
@@ -126,22 +140,29 @@ def _new_folder(parent: Path, name: str) -> Path:
         return temporary
 
 
-def _move_into_place(temporary: Path, folder: Path, *, force: bool, workshop: Path) -> None:
-    if not os.path.lexists(folder):
-        temporary.rename(folder)
+def _move_into_place(
+    temporary: Path, folder: Path, contents: Contents, *, force: bool, workshop: Path
+) -> None:
+    if not os.path.lexists(folder) or _is_empty(folder):
+        temporary.rename(folder)  # the system refuses if it is not empty any more
         _flush_folder(folder.parent)
         return
-    if not force:  # it came into being while we worked
-        raise UsageError(f"{folder}: exists already; --force replaces it")
+    # Asked again: something may have come into being while we worked.
+    _check_existing(folder, contents, force=force, inputs=())
     aside = _new_folder(workshop, folder.name)
     folder.rename(aside)  # an empty folder gives way to a renamed one
     try:
+        _check_contents(aside, folder, contents, force=force)  # where nobody writes any more
         temporary.rename(folder)
     except BaseException:
         aside.rename(folder)
         raise
     _flush_folder(folder.parent)
     shutil.rmtree(aside, ignore_errors=True)
+
+
+def _is_empty(folder: Path) -> bool:
+    return folder.is_dir() and not any(folder.iterdir())
 
 
 def _flush(folder: Path) -> None:
@@ -162,9 +183,24 @@ def _flush_folder(folder: Path) -> None:
         os.close(handle)
 
 
+def check_files(outputs: Iterable[Output], inputs: Iterable[Path]) -> None:
+    """Whether files may be written, asked before the work and not after it.
+
+    Raises:
+        UsageError: one is an input, another of them, no file of hiermap, or cannot be written.
+    """
+    outputs = list(outputs)
+    if (fault := output_fault(outputs, inputs)) is not None:
+        raise UsageError(fault)
+    for output in outputs:
+        _check_writable(Path(os.path.realpath(output.path)), output.option)
+
+
 @contextmanager
-def output_file(path: Path) -> Iterator[Path]:
+def output_file(path: Path, option: str = "-o") -> Iterator[Path]:
     """A new path beside `path` to write, which replaces `path` when the block ends well.
+
+    `option` is the one by which a person can choose another.
 
     Raises:
         UsageError: the file cannot be written there.
@@ -180,15 +216,7 @@ def output_file(path: Path) -> Iterator[Path]:
         temporary.replace(path)
         _flush_folder(path.parent)
     except OSError as error:
-        raise output_error(path, error) from error
+        raise output_error(path, error, option) from error
     finally:
         with suppress(OSError):  # gone already when all went well, or never made
             temporary.unlink()
-
-
-def output_error(path: Path, error: OSError) -> HiermapError:
-    """The error of hiermap for what the system said when `path` was written."""
-    reason = error.strerror or str(error)
-    if error.errno in _FULL:
-        return OutputError(f"{path}: cannot be written ({reason}); nothing was left there")
-    return UsageError(f"{path}: cannot be written ({reason}); choose another place with -o")

@@ -73,13 +73,13 @@ def junit_xml(name: str, cases: Iterable[Case]) -> bytes:
     return text + b"\n"
 
 
-def write_junit(path: Path, name: str, cases: Iterable[Case]) -> None:
-    """Writes a JUnit report, whole or not at all.
+def write_junit(path: Path, name: str, cases: Iterable[Case], option: str = "-o") -> None:
+    """Writes a JUnit report, whole or not at all; `option` chose its place.
 
     Raises:
         UsageError: it cannot be written there.
         OutputError: the disk is full or fails.
     """
     data = junit_xml(name, cases)
-    with output_file(path) as temporary:
+    with output_file(path, option) as temporary:
         temporary.write_bytes(data)

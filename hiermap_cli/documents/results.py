@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hiermap_cli.documents import own_files
+from hiermap_cli.documents.eval_file import EVAL
+from hiermap_cli.documents.eval_file import FORMAT as EVAL_FORMAT
+from hiermap_cli.documents.model_file import FORMAT as MODEL_FORMAT
 from hiermap_cli.documents.model_file import write_model
+from hiermap_cli.documents.report_file import FORMAT as REPORT_FORMAT
 from hiermap_cli.documents.svg import map_svg
 from hiermap_cli.documents.trajectories import write_covariances, write_tum
 
@@ -19,6 +24,20 @@ TRAJECTORY = "trajectory.tum"
 TRAJECTORY_FILTER = "trajectory_filter.tum"
 TRAJECTORY_COVARIANCE = "trajectory_covariance.txt"
 PICTURE = "map.svg"
+
+RESULT = own_files.Contents(
+    "an earlier result",
+    (MODEL, REPORT),
+    {
+        MODEL: own_files.document(MODEL_FORMAT),
+        REPORT: own_files.document(REPORT_FORMAT),
+        TRAJECTORY: own_files.TUM,
+        TRAJECTORY_FILTER: own_files.TUM,
+        TRAJECTORY_COVARIANCE: own_files.COVARIANCES,
+        PICTURE: own_files.PICTURE,
+        EVAL: own_files.document(EVAL_FORMAT),
+    },
+)
 
 
 def write_result(folder: Path, result: MapResult) -> None:

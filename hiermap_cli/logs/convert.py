@@ -7,6 +7,7 @@ same to the last bit.
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -45,6 +46,11 @@ def check_target(target: Path, *, overwrite: bool) -> None:
         raise UsageError(f"{target}: exists already; --force replaces it")
     if not target.parent.is_dir():
         raise UsageError(f"{target}: there is no folder {target.parent}")
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        raise UsageError(
+            f"{target}: cannot be written ({target.parent} takes no new files); "
+            "choose another place with -o"
+        )
 
 
 def convert(
@@ -58,8 +64,9 @@ def convert(
 
     Raises:
         InputError: the log has no scans, or stamps that do not fit into ROS messages.
-        UsageError: `target` exists and may not be replaced, or is one of the log's own files.
-        OutputError: the disk refuses.
+        UsageError: `target` exists and may not be replaced, is one of the log's own files, or
+            cannot be written.
+        OutputError: the disk is full or fails.
     """
     real = target.resolve()
     if any(path.resolve() == real for path in recording.source.paths):

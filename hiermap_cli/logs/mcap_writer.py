@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Self
 
 from hiermap_cli import __version__
-from hiermap_cli.errors import InputError, OutputError, UsageError
+from hiermap_cli.errors import HiermapError, InputError, UsageError, output_error
 from hiermap_cli.logs import cdr_write, ros_definitions
 from hiermap_cli.logs.records import Mount, Transform
 
@@ -42,8 +42,8 @@ class RosMcapWriter:
     The same messages give the same bytes. `mount` None leaves /tf_static out.
 
     Raises:
-        UsageError: the file exists and may not be replaced.
-        OutputError: the disk refuses.
+        UsageError: the file exists and may not be replaced, or cannot be written there.
+        OutputError: the disk is full or fails.
         InputError: a stamp does not fit into a ROS header.
     """
 
@@ -153,8 +153,8 @@ class RosMcapWriter:
             hint = "is a folder" if self._path.is_dir() else "exists already; --force replaces it"
             raise UsageError(f"{self._path}: {hint}")
 
-    def _refused(self, error: OSError) -> OutputError:
-        return OutputError(f"{self._path}: cannot be written: {error.strerror or error}")
+    def _refused(self, error: OSError) -> HiermapError:
+        return output_error(self._path, error)
 
 
 def mount_transform(stamp_ns: int, mount: Mount) -> Transform:

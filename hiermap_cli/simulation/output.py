@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hiermap_cli.documents import own_files
 from hiermap_cli.documents.truth import REFERENCE, TRUTH, write_truth
 from hiermap_cli.logs.mcap_writer import RosMcapWriter
 
@@ -15,6 +16,15 @@ if TYPE_CHECKING:
 
 LOG = "log.mcap"
 FILES = (LOG, TRUTH, REFERENCE)
+SIMULATION = own_files.Contents(
+    "an earlier simulation",
+    FILES,
+    {
+        LOG: own_files.MCAP,
+        TRUTH: own_files.TUM,
+        REFERENCE: own_files.document("hiermap-reference"),
+    },
+)
 
 
 def write(
