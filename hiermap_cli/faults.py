@@ -47,15 +47,22 @@ def faults_of(
     error: ValidationError, shape: type[BaseModel], lines: Mapping[KeyPath, int] | None = None
 ) -> list[Fault]:
     """Each fault that pydantic found in a `shape`, with its path, and its line where known."""
-    lines = lines or {}
-    faults = []
-    for details in error.errors(include_url=False):
-        path = tuple(details["loc"])
-        known = path
+    faults = [
+        Fault(0, tuple(details["loc"]), _message(details, shape))
+        for details in error.errors(include_url=False)
+    ]
+    return with_lines(faults, lines or {})
+
+
+def with_lines(faults: Iterable[Fault], lines: Mapping[KeyPath, int]) -> list[Fault]:
+    """The faults with the line of their key, or of the nearest that it stands under."""
+    found = []
+    for fault in faults:
+        known = fault.path
         while known and known not in lines:
             known = known[:-1]
-        faults.append(Fault(lines.get(known, 0), path, _message(details, shape)))
-    return faults
+        found.append(fault._replace(line=lines.get(known, 0)))
+    return found
 
 
 def _message(details: ErrorDetails, shape: type[BaseModel]) -> str:

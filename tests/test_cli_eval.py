@@ -312,6 +312,7 @@ def test_rooms_of_another_size_are_refused(place, tmp_path):
         (("--limit", "ate_rmse", "--trajectory", "x"), "'ate_rmse' is no limit"),
         (("--reference", "r.json", "--rooms", "i.png"), "--rooms is an image that lies on a map"),
         (("--trajectory", "t.tum", "--overlay", "o.svg"), "--overlay draws the model over a"),
+        (("--reference", "r.json", "--overlay", "o.png"), "o.png: --overlay writes SVG: give it"),
     ],
 )
 def test_wrong_usage_is_status_2(place, arguments, said):
@@ -325,7 +326,8 @@ def test_faults_of_a_file_of_limits_are_all_listed(place, tmp_path):
     limits.write_text('limits: ["ate_rmse", "door_recall>=1", "x<=nan"]\n')
     done, _ = evaluate(place, tmp_path, "--limits", limits)
     assert done.exit_code == 2
-    assert [line.split(": ")[2] for line in done.stderr.splitlines()] == ["limits[0]", "limits[2]"]
+    places = [": ".join(line.split(": ")[2:4]) for line in done.stderr.splitlines()]
+    assert places == ["line 1: limits[0]", "line 1: limits[2]"]
 
 
 def test_a_folder_without_a_run_is_status_1(tmp_path):

@@ -105,6 +105,40 @@ def test_validate_knows_floor_plans_and_jobs(tmp_path):
     assert "did you mean log?" in err
 
 
+def test_validate_refuses_the_worlds_that_simulate_refuses(tmp_path):
+    world = tmp_path / "w.yaml"
+    world.write_text(
+        "areas:\n  - {id: K, box: [0, 0, 4, 3]}\n  - {id: L, box: [3, 0, 9, 3]}\n"
+        "way_points: [[1, 1], [2, 1]]\n"
+    )
+    status, out, err = hiermap("validate", world)
+    assert (status, out) == (EXIT_USAGE, "")
+    assert err == f"{world}: line 3: areas[1]: 'K' and 'L' overlap\n"
+    status, _, refused = hiermap("simulate", world, "-o", tmp_path / "out")
+    assert status == EXIT_USAGE
+    assert "line 3: areas[1]: 'K' and 'L' overlap" in refused
+    assert not (tmp_path / "out").exists()
+
+
+def test_validate_knows_limits_and_maps_and_says_which_kinds_there_are(tmp_path):
+    limits, grid, other = (tmp_path / name for name in ("l.yaml", "m.yaml", "o.yaml"))
+    limits.write_text("limits:\n  - ate_rmse<=0.1\n")
+    assert hiermap("validate", limits)[:2] == (EXIT_OK, f"{limits}: valid limits\n")
+    limits.write_text("limits:\n  - ate_rmse<=0.1\n  - ate_rmse\n")
+    status, _, err = hiermap("validate", limits)
+    assert status == EXIT_USAGE
+    assert err.startswith(f"{limits}: line 3: limits[1]: 'ate_rmse' is no limit")
+    grid.write_text("image: none.png\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    status, _, err = hiermap("validate", grid)
+    assert status == EXIT_INPUT
+    assert "no such image" in err
+    other.write_text("version: '3'\nservices: {db: {image: x}}\n")
+    status, _, err = hiermap("validate", other)
+    assert status == EXIT_USAGE
+    assert len(err.splitlines()) == 1
+    assert "of no kind that is known by its keys (version, services); known are config" in err
+
+
 def test_validate_says_where_a_number_is_none(tmp_path):
     write_sample(tmp_path)
     report = tmp_path / "report.json"

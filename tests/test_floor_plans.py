@@ -29,7 +29,7 @@ L_SHAPE = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 2.0], [2.0, 2.0], [2.0, 5.0], 
 
 
 def plan_of(base, **changes):
-    faults: list[str] = []
+    faults = []
     plan = build_plan(spec_of(base, **changes), faults)
     assert plan is not None, faults
     return plan
@@ -291,6 +291,38 @@ def test_faults_of_a_file_are_listed_with_line_and_path(tmp_path):
         "line 6: laser.sigma",
     ]
     assert "unknown key" in caught.value.faults[5]
+
+
+def test_faults_of_the_plan_and_of_the_journey_have_their_lines(tmp_path):
+    path = tmp_path / "bad.yaml"
+    areas = "areas:\n  - {id: K, box: [0, 0, 6, 4]}\n  - id: L\n    box: [6, 0, 9, 4]\n"
+    path.write_text(
+        areas.replace("[6, 0", "[5, 0") + "doors:\n"
+        "  - {id: D, areas: [K, M], at: [6, 2]}\n"
+        "  - id: E\n"
+        "    areas: [K, outside]\n"
+        "    at: [0, 2]\n"
+        "    width: 9\n"
+        "  - {id: F, areas: [K, outside], at: [3, 2]}\n"
+        "way_points: [[1, 1], [2, 1]]\n"
+    )
+    with pytest.raises(ConfigurationError) as caught:
+        load_world(path)
+    assert caught.value.faults == [
+        "line 3: areas[1]: 'K' and 'L' overlap",
+        "line 6: doors[0].areas: there is no area 'M'",
+        "line 10: doors[1].width: 9 m is more than the wall has there",
+        "line 11: doors[2].at: no wall of 'K' within 0.05 m",
+    ]
+    path.write_text(areas + "way_points:\n  - [1, 1]\n  - [8, 2]\n  - at: [20, 2]\n")
+    with pytest.raises(ConfigurationError) as caught:
+        load_world(path)
+    places = [": ".join(fault.split(": ")[:2]) for fault in caught.value.faults]
+    assert places == [
+        "line 7: way_points[1]",
+        "line 8: way_points[2]",
+        "line 8: way_points[2].at",
+    ]
 
 
 def test_a_world_without_areas_or_way_points_is_refused(tmp_path):

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict
 
-from hiermap_cli.configfile import read_yaml
+from hiermap_cli.configfile import fault_lines, read_with_lines
 from hiermap_cli.errors import ConfigurationError, UsageError
 from hiermap_cli.evaluation.limits import parse_limit
+from hiermap_cli.faults import Fault, with_lines
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -31,11 +32,12 @@ def read_limits(path: Path) -> list[Limit]:
         ConfigurationError: the file cannot be read, or has faults; all of them are listed.
     """
     limits, faults = [], []
-    for i, text in enumerate(read_yaml(path, LimitsShape).limits):
+    shape, lines = read_with_lines(path, LimitsShape)
+    for i, text in enumerate(shape.limits):
         try:
             limits.append(parse_limit(text))
         except UsageError as error:
-            faults.append(f"limits[{i}]: {error}")
+            faults.append(Fault(0, ("limits", i), str(error)))
     if faults:
-        raise ConfigurationError(str(path), faults)
+        raise ConfigurationError(str(path), fault_lines(with_lines(faults, lines)))
     return limits

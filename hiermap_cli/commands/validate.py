@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from pathlib import Path
 
 import click
@@ -17,6 +18,11 @@ from hiermap_cli.errors import (
 )
 
 DOCUMENTS = (".json", ".tum", ".txt", ".yaml", ".yml", ".svg")
+_UNKNOWN = (
+    "is of no kind that is known by its keys ({}); known are configurations (the sections of "
+    "`hiermap config`), worlds (areas, way_points), jobs (jobs), limits (limits) and maps of "
+    "map_server (image, resolution)"
+)
 SCHEMAS = ("model", "report", "eval", "reference", "summary", "jobs")
 
 
@@ -28,15 +34,15 @@ def command(files: tuple[Path, ...], schema: str | None) -> None:
 
     Each FILE is recognised by its format key (model.json, report.json, eval.json, reference.json,
     summary.json, job.json), by its ending (.tum), by its columns (trajectory_covariance.txt,
-    relations.txt), or, if it is YAML, by its keys (configuration, floor plan, jobs). A folder
-    stands for the documents in it. What holds is said on stdout, each fault on a line of its own
-    on stderr.
+    relations.txt), or, if it is YAML, by its keys (configuration, floor plan, jobs, limits, map of
+    map_server). A folder stands for the documents in it. What holds is said on stdout, each fault
+    on a line of its own on stderr.
 
     \b
         hiermap validate office.hiermap configs/*.yaml
 
-    Exit status: 0 if all hold, 1 if a document does not, 2 if a configuration, a floor plan or
-    jobs have faults.
+    Exit status: 0 if all hold, 1 if a document does not, 2 if a configuration, a floor plan,
+    jobs or limits have faults.
     """
     if schema is not None:
         from hiermap_cli.documents.schema import shipped_schema
@@ -96,9 +102,11 @@ def _check_yaml(path: Path) -> str:
     """The kind of a YAML file that holds.
 
     Raises:
-        ConfigurationError: it has faults.
+        ConfigurationError: it has faults, or is of no kind that is known.
+        InputError: it is a map whose image cannot be used.
     """
-    from hiermap_cli.configfile import load_config, read_yaml, top_keys
+    from hiermap_cli.config import Config
+    from hiermap_cli.configfile import load_config, top_keys
 
     keys = top_keys(path)
     if "jobs" in keys:
@@ -107,9 +115,24 @@ def _check_yaml(path: Path) -> str:
         read_jobs(path)
         return "jobs"
     if "way_points" in keys or keys.get("areas") is list:
-        from hiermap_cli.simulation.spec import WorldSpec
+        from hiermap_cli.simulation.world import load_world
 
-        read_yaml(path, WorldSpec)
+        load_world(path)
         return "world"
+    if "limits" in keys:
+        from hiermap_cli.batch.limits_file import read_limits
+
+        read_limits(path)
+        return "limits"
+    if {"image", "resolution"} <= keys.keys():
+        from hiermap_cli.documents.occupancy import read_map_server
+
+        read_map_server(path)
+        return "map (map_server)"
+    known = Config.model_fields
+    # A misspelt section is a fault of a configuration, which says what is meant.
+    near = any(key in known or difflib.get_close_matches(key, known, n=1) for key in keys)
+    if keys and "format" not in keys and not near:
+        raise ConfigurationError(str(path), [_UNKNOWN.format(", ".join(list(keys)[:5]))])
     load_config(path)
     return "configuration"

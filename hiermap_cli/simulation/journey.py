@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiermap_cli.faults import Fault
 from hiermap_cli.geometry.se2 import between, compose
 from hiermap_cli.simulation.motion import Leg, drive
 from hiermap_cli.simulation.polygons import point_distances, within
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hiermap_cli.faults import KeyPath
     from hiermap_cli.simulation.plan import FloorPlan
     from hiermap_cli.simulation.spec import WorldSpec
 
@@ -58,7 +60,7 @@ class Journey:
         return total
 
 
-def plan_journey(spec: WorldSpec, faults: list[str]) -> Journey | None:
+def plan_journey(spec: WorldSpec, faults: list[Fault]) -> Journey | None:
     """The journey through the way points of a world, lifts included; None where it has faults."""
     start = np.array([*spec.way_points[0].at, _start_heading(spec)])
     legs = [drive(start, spec.way_points, spec.robot)]
@@ -68,9 +70,8 @@ def plan_journey(spec: WorldSpec, faults: list[str]) -> Journey | None:
     for index, lift in sorted(enumerate(spec.lifts), key=lambda item: item[1].at):
         leg = legs[-1]
         if not leg.begin < lift.at < leg.end:
-            faults.append(
-                f"lifts[{index}].at: the robot drives from {leg.begin:.1f} s to {leg.end:.1f} s"
-            )
+            message = f"the robot drives from {leg.begin:.1f} s to {leg.end:.1f} s"
+            faults.append(Fault(0, ("lifts", index, "at"), message))
             continue
         done = int(np.count_nonzero(leg.arrivals[:, 0] <= lift.at))
         reached.append(np.minimum(leg.arrivals[:done], lift.at))
@@ -81,7 +82,8 @@ def plan_journey(spec: WorldSpec, faults: list[str]) -> Journey | None:
         )
     for index, bend in enumerate(spec.odometry.bends):
         if bend.after + 1 >= len(spec.way_points):
-            faults.append(f"odometry.bends[{index}].after: no way point follows {bend.after}")
+            place: KeyPath = ("odometry", "bends", index, "after")
+            faults.append(Fault(0, place, f"no way point follows {bend.after}"))
     if len(faults) > before:
         return None
     return Journey(tuple(legs), np.vstack([*reached, legs[-1].arrivals]))
@@ -111,13 +113,15 @@ def _cut(leg: Leg, at: float, stand: float) -> Leg:
     )
 
 
-def check_journey(spec: WorldSpec, plan: FloorPlan, journey: Journey, faults: list[str]) -> None:
+def check_journey(spec: WorldSpec, plan: FloorPlan, journey: Journey, faults: list[Fault]) -> None:
     """Adds a fault for each way point or lift outside, and each way with a collision on it."""
-    places = {f"way_points[{k}].at": point.at for k, point in enumerate(spec.way_points)}
-    places |= {f"lifts[{k}].to": lift.to[:2] for k, lift in enumerate(spec.lifts)}
+    places: dict[KeyPath, tuple[float, float]] = {
+        ("way_points", k, "at"): point.at for k, point in enumerate(spec.way_points)
+    }
+    places |= {("lifts", k, "to"): lift.to[:2] for k, lift in enumerate(spec.lifts)}
     inside = plan.inside(np.array(list(places.values())))
     faults.extend(
-        f"{place}: lies in no area and in no door"
+        Fault(0, place, "lies in no area and in no door")
         for place, is_inside in zip(places, inside, strict=True)
         if not is_inside
     )
@@ -127,11 +131,12 @@ def check_journey(spec: WorldSpec, plan: FloorPlan, journey: Journey, faults: li
             target = int(np.searchsorted(journey.arrivals[:, 0], seconds[k]))
             if target not in blamed:
                 x, y = points[k]
-                faults.append(
-                    f"way_points[{min(target, len(spec.way_points) - 1)}]: on the way there the "
-                    f"robot (radius {spec.robot.radius:g} m) comes within {clearance[k]:.2f} m of "
-                    f"something at ({x:.2f}, {y:.2f})"
+                message = (
+                    f"on the way there the robot (radius {spec.robot.radius:g} m) comes within "
+                    f"{clearance[k]:.2f} m of something at ({x:.2f}, {y:.2f})"
                 )
+                place = ("way_points", min(target, len(spec.way_points) - 1))
+                faults.append(Fault(0, place, message))
             blamed.add(target)
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiermap_cli.faults import Fault
 from hiermap_cli.simulation.faces import boundary
 from hiermap_cli.simulation.polygons import (
     TINY,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from hiermap_cli.faults import KeyPath
     from hiermap_cli.simulation.spec import DoorSpec, Shape, WorldSpec
 
     Array = NDArray[np.float64]
@@ -100,14 +102,14 @@ class FloorPlan:
         return found
 
 
-def build_plan(spec: WorldSpec, faults: list[str]) -> FloorPlan | None:
+def build_plan(spec: WorldSpec, faults: list[Fault]) -> FloorPlan | None:
     """The floor plan of a world; what is wrong is added to `faults`, and None comes out."""
     before = len(faults)
     areas = _areas(spec, faults)
     pillars = [
         counterclockwise(np.array(wall.corners()))
         for index, wall in enumerate(spec.walls)
-        if _sound_shape(wall, f"walls[{index}]", faults)
+        if _sound_shape(wall, ("walls", index), faults)
     ]
     doors = _doors(spec, areas, faults)
     furniture = _furniture(spec, areas, faults)
@@ -129,22 +131,25 @@ def build_plan(spec: WorldSpec, faults: list[str]) -> FloorPlan | None:
     )
 
 
-def _sound_shape(shape: Shape, place: str, faults: list[str]) -> bool:
+def _sound_shape(shape: Shape, place: KeyPath, faults: list[Fault]) -> bool:
     corners = np.array(shape.corners())
     if is_simple(corners) and abs(signed_area(corners)) > TINY:
         return True
-    faults.append(f"{place}: its outline crosses or touches itself, or encloses nothing")
+    faults.append(Fault(0, place, "its outline crosses or touches itself, or encloses nothing"))
     return False
 
 
-def _areas(spec: WorldSpec, faults: list[str]) -> list[Area]:
+def _areas(spec: WorldSpec, faults: list[Fault]) -> list[Area]:
     """All areas, drawn in by half their walls; faulty ones are left out."""
-    areas = []
+    areas: list[Area] = []
+    places: list[int] = []  # of each in the file, where faulty ones stand too
     seen: set[str] = set()
     for index, entry in enumerate(spec.areas):
-        place = f"areas[{index}]"
+        place: KeyPath = ("areas", index)
         if entry.id in seen or entry.id == OUTSIDE:
-            faults.append(f"{place}.id: '{entry.id}' is taken; give every area its own")
+            faults.append(
+                Fault(0, (*place, "id"), f"'{entry.id}' is taken; give every area its own")
+            )
         seen.add(entry.id)
         if not _sound_shape(entry, place, faults):
             continue
@@ -152,14 +157,15 @@ def _areas(spec: WorldSpec, faults: list[str]) -> list[Area]:
         middle = counterclockwise(np.array(entry.corners()))
         inside, outer = drawn_in(middle, half), drawn_in(middle, -half)
         if signed_area(inside) <= TINY or not is_simple(inside) or _turned(middle, inside):
-            faults.append(f"{place}: nothing is left inside walls of {2.0 * half:g} m")
+            faults.append(Fault(0, place, f"nothing is left inside walls of {2.0 * half:g} m"))
             continue
         areas.append(Area(entry.id, entry.kind, inside, middle, outer))
+        places.append(index)
     low, high = _boxes(areas)
     for i, area in enumerate(areas):
         near = (low[:i] <= high[i]).all(axis=1) & (high[:i] >= low[i]).all(axis=1)
         faults.extend(
-            f"areas: '{areas[j].id}' and '{area.id}' overlap"
+            Fault(0, ("areas", places[i]), f"'{areas[j].id}' and '{area.id}' overlap")
             for j in np.flatnonzero(near)
             if _overlap(area.inside, areas[j].inside)
         )
@@ -185,23 +191,25 @@ def _overlap(a: Array, b: Array) -> bool:
     return bool(contains(a, b[:1])[0] or contains(b, a[:1])[0])
 
 
-def _doors(spec: WorldSpec, areas: Sequence[Area], faults: list[str]) -> list[Door]:
+def _doors(spec: WorldSpec, areas: Sequence[Area], faults: list[Fault]) -> list[Door]:
     by_id = {area.id: area for area in areas}
     named = {area.id for area in spec.areas}
     doors = []
     seen: set[str] = set()
     for index, entry in enumerate(spec.doors):
-        place = f"doors[{index}]"
+        place: KeyPath = ("doors", index)
         if entry.id in seen:
-            faults.append(f"{place}.id: '{entry.id}' is taken; give every door its own")
+            faults.append(
+                Fault(0, (*place, "id"), f"'{entry.id}' is taken; give every door its own")
+            )
         seen.add(entry.id)
         names = [name for name in entry.areas if name != OUTSIDE]
         unknown = [name for name in names if name not in named]
-        faults.extend(f"{place}.areas: there is no area '{name}'" for name in unknown)
+        faults.extend(Fault(0, (*place, "areas"), f"there is no area '{name}'") for name in unknown)
         if any(name not in by_id for name in names):
             continue  # an unknown area, or a faulty one that has been blamed itself
         if len(set(names)) != len(names) or not names:
-            faults.append(f"{place}.areas: a door joins two different areas")
+            faults.append(Fault(0, (*place, "areas"), "a door joins two different areas"))
             continue
         door = _door(entry, place, [by_id[name] for name in names], areas, faults)
         if door is not None:
@@ -210,14 +218,18 @@ def _doors(spec: WorldSpec, areas: Sequence[Area], faults: list[str]) -> list[Do
 
 
 def _door(
-    entry: DoorSpec, place: str, sides: Sequence[Area], areas: Sequence[Area], faults: list[str]
+    entry: DoorSpec,
+    place: KeyPath,
+    sides: Sequence[Area],
+    areas: Sequence[Area],
+    faults: list[Fault],
 ) -> Door | None:
     """The door in the edge that runs through `at` and belongs to each of `sides`."""
     at = np.array(entry.at)
     first = sides[0]
     found = _edge_at(first, at)
     if found is None:
-        faults.append(f"{place}.at: no wall of '{first.id}' within {DOOR_REACH:g} m")
+        faults.append(Fault(0, (*place, "at"), f"no wall of '{first.id}' within {DOOR_REACH:g} m"))
         return None
     u, at = found.along, found.at
     outwards = np.array([u[1], -u[0]])
@@ -225,7 +237,9 @@ def _door(
     if len(sides) == 2:
         second = _edge_at(sides[1], at)
         if second is None or float(np.dot(second.along, u)) > -1.0 + 1e-6:
-            faults.append(f"{place}.at: '{first.id}' and '{sides[1].id}' share no wall there")
+            faults.append(
+                Fault(0, (*place, "at"), f"'{first.id}' and '{sides[1].id}' share no wall there")
+            )
             return None
         spans.append((-second.span[1], -second.span[0]))
         depths.append(second.depth)
@@ -234,7 +248,9 @@ def _door(
     half = 0.5 * entry.width
     room = min(min(-low, high) for low, high in spans)
     if half > room + TINY:
-        faults.append(f"{place}.width: {entry.width:g} m is more than the wall has there")
+        faults.append(
+            Fault(0, (*place, "width"), f"{entry.width:g} m is more than the wall has there")
+        )
         return None
     p1, p2 = at - half * u, at + half * u
     near, far = -depths[0] * outwards, depths[1] * outwards
@@ -246,7 +262,7 @@ def _door(
         )
         probes = 0.5 * (p1 + p2) + far + np.outer([1e-3, 0.5 * PORCH_DEPTH], outwards)
         if any(contains(area.outer, probes).any() for area in areas):
-            faults.append(f"{place}.areas: there is no '{OUTSIDE}' behind that wall")
+            faults.append(Fault(0, (*place, "areas"), f"there is no '{OUTSIDE}' behind that wall"))
             return None
     ids = (first.id, sides[1].id if len(sides) == 2 else f"{OUTSIDE}:{entry.id}")
     if entry.areas[0] != first.id:  # keep the order of the file
@@ -283,13 +299,13 @@ def _edge_at(area: Area, point: Array) -> _Edge | None:
     return _Edge(along, at, (low, high), depth)
 
 
-def _furniture(spec: WorldSpec, areas: Sequence[Area], faults: list[str]) -> list[Array]:
+def _furniture(spec: WorldSpec, areas: Sequence[Area], faults: list[Fault]) -> list[Array]:
     """Outlines (n, 2) of the furniture, counterclockwise, each inside one area."""
     all_areas = len(areas) == len(spec.areas)  # else it may stand in one that is faulty
     out = []
     low, high = _boxes(areas)
     for index, entry in enumerate(spec.furniture):
-        place = f"furniture[{index}]"
+        place: KeyPath = ("furniture", index)
         if not _sound_shape(entry, place, faults):
             continue
         corners = counterclockwise(np.array(entry.corners()))
@@ -299,7 +315,7 @@ def _furniture(spec: WorldSpec, areas: Sequence[Area], faults: list[str]) -> lis
         slim = centre + (corners - centre) * (1.0 - 1e-4)  # what only touches a wall is inside
         boxed = (low <= slim.min(axis=0)).all(axis=1) & (high >= slim.max(axis=0)).all(axis=1)
         if all_areas and not any(_holds(areas[int(k)].inside, slim) for k in np.flatnonzero(boxed)):
-            faults.append(f"{place}: does not stand inside one area")
+            faults.append(Fault(0, place, "does not stand inside one area"))
             continue
         out.append(corners)
     return out

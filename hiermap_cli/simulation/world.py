@@ -6,13 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hiermap_cli.errors import ConfigurationError
+from hiermap_cli.faults import with_lines
 from hiermap_cli.logs.records import LaserGeometry, Mount
 from hiermap_cli.simulation.journey import check_journey, plan_journey
 from hiermap_cli.simulation.plan import build_plan
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
+    from hiermap_cli.faults import Fault, KeyPath
     from hiermap_cli.simulation.journey import Journey
     from hiermap_cli.simulation.plan import FloorPlan
     from hiermap_cli.simulation.spec import LaserMountSpec, WorldSpec
@@ -58,25 +61,33 @@ def load_world(path: Path) -> World:
 
     Raises:
         ConfigurationError: the file cannot be read or has faults; all of one kind are listed:
-            first those of the file's shape, then those of the plan, then those of the journey.
+            first those of the file's shape, then those of the plan, then those of the journey;
+            each with its line.
     """
-    from hiermap_cli.configfile import read_yaml
+    from hiermap_cli.configfile import read_with_lines
     from hiermap_cli.simulation.spec import WorldSpec
 
-    return build_world(read_yaml(path, WorldSpec), str(path))
+    spec, lines = read_with_lines(path, WorldSpec)
+    return build_world(spec, str(path), lines)
 
 
-def build_world(spec: WorldSpec, source: str = "world") -> World:
-    """The world of a specification; `source` names it in messages.
+def build_world(
+    spec: WorldSpec, source: str = "world", lines: Mapping[KeyPath, int] | None = None
+) -> World:
+    """The world of a specification; `source` names it in messages, `lines` says where keys stand.
 
     Raises:
         ConfigurationError: the floor plan or the journey has faults; all are listed.
     """
-    faults: list[str] = []
+    faults: list[Fault] = []
     plan = build_plan(spec, faults)
     journey = plan_journey(spec, faults)
     if plan is not None and journey is not None:
         check_journey(spec, plan, journey, faults)
         if not faults:
             return World(spec, plan, journey)
-    raise ConfigurationError(source, faults)
+    if lines is None:
+        raise ConfigurationError(source, [fault.text() for fault in faults])
+    from hiermap_cli.configfile import fault_lines
+
+    raise ConfigurationError(source, fault_lines(with_lines(faults, lines)))
