@@ -158,9 +158,9 @@ def odometry(shift):
         yield recorded(message, "nav_msgs/msg/Odometry", "/odom", stamp_ns)
 
 
-def scans(frame="laser", step=1.0):
+def scans(frame="laser", step=1.0, offset_ns=0):
     for index, stamp_ns in enumerate(cases.stamps()):
-        message = cases.scan_message(cases.STORE2, stamp_ns, index)
+        message = cases.scan_message(cases.STORE2, stamp_ns + offset_ns, index)
         message.header.frame_id = frame
         message.angle_increment *= step
         yield recorded(message, "sensor_msgs/msg/LaserScan", "/scan", stamp_ns + 1)
@@ -269,6 +269,95 @@ def test_scans_of_one_stamp_that_differ_are_no_repeats(tmp_path):
     recording = open_recording(paths, InputConfig())
     assert all(block.repeated is None for block in recording.blocks())
     assert recording.report().dropped == {"repeated_stamp": 1}
+
+
+# ------------------------------------------------------------- parts that follow each other
+
+NEXT = cases.stamps()[-1] - cases.START + cases.SECOND  # from one drive's beginning to the next's
+
+
+def second_drive(at=(0.0, 0.0, 0.0), after_ns=NEXT, **geometry):
+    """A drive that begins `at` that much beyond where the first one ends, standing still."""
+    end = np.add(cases.pose(cases.odometry_stamps()[-1]), at)
+    out = [mounted(geometry.pop("mount", cases.MOUNT_X))]
+    for stamp_ns in cases.odometry_stamps():
+        message = cases.odometry_message(cases.STORE2, stamp_ns + after_ns, tuple(end))
+        out.append(recorded(message, "nav_msgs/msg/Odometry", "/odom", stamp_ns))
+    return late([*out, *scans(offset_ns=after_ns, **geometry)], after_ns)
+
+
+def parts_warnings(first, second):
+    recording = open_recording([second, first], InputConfig())
+    for _ in recording.blocks():
+        pass
+    return [w for w in recording.report().warnings if "a.mcap and b.mcap" in w]
+
+
+DAY_NS = 86_400 * cases.SECOND
+FOLLOWING = {
+    "goes on": ({}, []),
+    "goes on much later": ({"after_ns": 3600 * cases.SECOND}, []),
+    "a step": ({"at": (1.0, 0.0, 0.0)}, []),
+    "elsewhere": ({"at": (3.0, 4.0, 0.1)}, ["odometry jumps by 5.00 m and 6 degrees"]),
+    "turned": ({"at": (0.0, 0.0, 3.0)}, ["odometry jumps by 0.00 m and 172 degrees"]),
+    "elsewhere, later": (
+        {"at": (3.0, 4.0, 0.0), "after_ns": 3600 * cases.SECOND},
+        ["odometry jumps by 5.00 m"],
+    ),
+    "days later": ({"after_ns": 3 * DAY_NS}, ["3.0 days lie between"]),
+    "elsewhere, days later": (
+        {"at": (3.0, 4.0, 0.0), "after_ns": 3 * DAY_NS},
+        ["odometry jumps by 5.00 m", "3.0 days lie between"],
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", FOLLOWING)
+def test_a_seam_that_looks_like_two_recordings_is_said(tmp_path, kind):
+    options, expected = FOLLOWING[kind]
+    paths = [
+        write(tmp_path / "a.mcap", MESSAGES),
+        write(tmp_path / "b.mcap", second_drive(**options)),
+    ]
+    found = parts_warnings(*paths)
+    assert len(found) == len(expected)
+    assert all(text in warning for text, warning in zip(expected, found, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        ({"frame": "rear"}, "of the frames laser and rear"),
+        ({"step": 0.5}, "180 beams from -90 degrees and 180 beams"),
+        ({"mount": 0.6}, "mounted at 0.25,0.00,0.00 and 0.60,0.00,0.00"),
+    ],
+)
+def test_files_of_two_lasers_that_follow_each_other_are_no_recording(tmp_path, options, fault):
+    paths = [
+        write(tmp_path / "a.mcap", MESSAGES),
+        write(tmp_path / "b.mcap", second_drive(**options)),
+    ]
+    with pytest.raises(
+        InputError, match=r"a\.mcap and .*b\.mcap are no parts of one recording"
+    ) as e:
+        open_recording(paths, InputConfig())
+    assert fault in str(e.value)
+    assert "overlap" not in str(e.value)
+
+
+def test_a_seam_of_text_logs_is_watched_too(tmp_path):
+    text = cases.carmen_text()
+    lines = text.splitlines(keepends=True)
+    half = len(lines) // 2
+    first, second, other = (tmp_path / name for name in ("a.log", "b.log", "other.log"))
+    first.write_text("".join(lines[:half]))
+    second.write_text("".join(lines[half:]))
+    other.write_text(shifted("".join(lines[half:]), 7.0) + "\n")
+    for part, expected in ((second, []), (other, ["odometry jumps by 7."])):
+        recording = open_recording([first, part], InputConfig())
+        assert sum(len(block) for block in recording.blocks()) == cases.SCANS
+        found = [w for w in recording.report().warnings if f"a.log and {part.name}" in w]
+        assert [w[: len(e)] for w, e in zip(found, expected, strict=True)] == expected
 
 
 def shifted(text, by):

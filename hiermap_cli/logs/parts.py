@@ -1,9 +1,11 @@
-"""Whether files that overlap in time can be parts of one recording.
+"""Whether files can be parts of one recording, and where one of them follows another.
 
 A recorder that splits its files may write a few messages twice, two recorders may have run side by
 side, and scans and odometry may be in files of their own: all that is one recording. Two robots,
 or two drives, are none; joined, they would give a map of neither. What tells them apart: a robot
-is in one place at a time, and one topic has one laser on one mount.
+is in one place at a time, and one topic has one laser on one mount. Where files follow each other
+without overlapping, odometry tells nothing for certain: it may have been set back, or the robot
+carried. There a jump is worth a warning (`seams`).
 """
 
 from __future__ import annotations
@@ -19,13 +21,16 @@ from hiermap_cli.logs.clock import SECOND, Clock, choose_clock
 from hiermap_cli.logs.decimals import ns_to_seconds
 from hiermap_cli.logs.join import plausible, sound_geometry
 from hiermap_cli.logs.records import Odometry, Scan, Transform
+from hiermap_cli.logs.seams import Seam
 from hiermap_cli.logs.survey import Plan, odometry_of
 from hiermap_cli.logs.transforms import FrameTree, frame_name
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
-    from hiermap_cli.logs.records import LaserGeometry, Mount
+    from hiermap_cli.logs.records import LaserGeometry, Mount, Record
     from hiermap_cli.logs.source import Part, Source
 
     Stamps = NDArray[np.int64]
@@ -70,35 +75,62 @@ class _Laser(NamedTuple):
     mount: Mount | None
 
 
-def check_parts(source: Source, plan: Plan) -> None:
-    """Raises InputError where files of a recording overlap in time and contradict each other.
+def check_parts(source: Source, plan: Plan) -> tuple[Seam, ...]:
+    """The seams between files that follow each other, in the order of the recording.
 
-    Only files that overlap are read. Each file's own stamps say whether they are usable, for two
-    logs mixed with each other may look as if neither clock went forward.
+    Raises InputError where files of a recording contradict each other. Only files that overlap in
+    time are read, of the others their beginnings. Each file's own stamps say whether they are
+    usable, for two logs mixed with each other may look as if neither clock went forward.
     """
     parts = source.parts()
     readings: dict[int, _Readings] = {}
+    lasers = [_laser(part.source, plan) for part in parts]
+    overlapping: set[int] = set()  # parts that overlap one before them
     for pair in combinations(range(len(parts)), 2):
         first, second = (parts[i] for i in pair)
-        if not _may_overlap(first, second):
-            continue
-        for i in pair:
-            if i not in readings:
-                readings[i] = _read(parts[i].source, plan)
-        clocks = {readings[i].clock for i in pair}
-        if "order" in clocks:
-            continue
-        clock: Clock = "log" if "log" in clocks else "header"
-        one, other = (readings[i].track(clock) for i in pair)
-        # Both ways, for the readings of one of them may be few.
-        found = _contradiction(one, other) or _contradiction(other, one)
-        found = found or _other_laser(first, second, one, other, plan)
+        found, overlap, told_twice = None, False, False
+        if _may_overlap(first, second):
+            for i in pair:
+                if i not in readings:
+                    readings[i] = _read(parts[i].source, plan)
+            clocks = {readings[i].clock for i in pair}
+            if "order" not in clocks:
+                clock: Clock = "log" if "log" in clocks else "header"
+                one, other = (readings[i].track(clock) for i in pair)
+                overlap = first.span is not None or _same_time(one, other)
+                # Both ways, for the readings of one of them may be few.
+                found = _contradiction(one, other) or _contradiction(other, one)
+                told_twice = bool(_told_twice(one, other).any())
+        if overlap:
+            overlapping.add(pair[1])
+        found = found or _other_laser(lasers[pair[0]], lasers[pair[1]], plan, told_twice=told_twice)
         if found:
             names = " and ".join(str(part.source.paths[0]) for part in (first, second))
+            how = "overlap in time and " if overlap else ""
             raise InputError(
-                f"{names}: overlap in time and are no parts of one recording: {found}; give them "
-                "one at a time"
+                f"{names} {how}are no parts of one recording: {found}; give them one at a time"
             )
+    return _seams(parts, overlapping, plan)
+
+
+def _seams(parts: list[Part], overlapping: set[int], plan: Plan) -> tuple[Seam, ...]:
+    """Between the parts that overlap none before them, and have odometry, and those before."""
+    out: list[Seam] = []
+    before: Part | None = None
+    for number, part in enumerate(parts):
+        first = next(_odometry(part.source, plan), None)
+        if first is None:
+            continue
+        if before is not None and number not in overlapping:
+            reading = first.value
+            assert isinstance(reading, Odometry)
+            out.append(Seam(_name(before), _name(part), reading, first.log_ns))
+        before = part
+    return tuple(out)
+
+
+def _name(part: Part) -> str:
+    return part.source.paths[0].name
 
 
 def _may_overlap(first: Part, second: Part) -> bool:
@@ -112,16 +144,27 @@ def _read(source: Source, plan: Plan) -> _Readings:
     """The chosen odometry of a part; headings not wrapped."""
     stamps: list[tuple[int, int]] = []
     poses: list[tuple[float, float, float]] = []
-    for record in odometry_of(source.records(plan.odometry.topics), plan.odometry):
+    for record in _odometry(source, plan):
         value = record.value
-        if not isinstance(value, Odometry) or record.topic not in plan.odometry.topics:
-            continue
-        if plausible(value) and max(abs(value.stamp_ns), abs(record.log_ns)) < _LAST:
-            stamps.append((value.stamp_ns, record.log_ns))
-            poses.append((value.x, value.y, value.theta))
+        assert isinstance(value, Odometry)
+        stamps.append((value.stamp_ns, record.log_ns))
+        poses.append((value.x, value.y, value.theta))
     headers_ns, logs_ns = np.array(stamps, dtype=np.int64).reshape(-1, 2).T
     clock = choose_clock(stamps) if stamps else "header"
     return _Readings(headers_ns, logs_ns, np.array(poses).reshape(-1, 3), clock)
+
+
+def _odometry(source: Source, plan: Plan) -> Iterator[Record]:
+    """The sound readings of a part's chosen odometry."""
+    for record in odometry_of(source.records(plan.odometry.topics), plan.odometry):
+        value = record.value
+        if (
+            isinstance(value, Odometry)
+            and record.topic in plan.odometry.topics
+            and plausible(value)
+            and max(abs(value.stamp_ns), abs(record.log_ns)) < _LAST
+        ):
+            yield record
 
 
 def _contradiction(first: _Track, second: _Track) -> str | None:
@@ -157,14 +200,12 @@ def _told_twice(first: _Track, second: _Track) -> NDArray[np.bool_]:
     return np.array([reading in told for reading in ours], dtype=np.bool_)
 
 
-def _other_laser(
-    first: Part, second: Part, first_track: _Track, second_track: _Track, plan: Plan
-) -> str | None:
-    """How the scans of the two parts show two lasers, None if they do not."""
-    one, other = _laser(first.source, plan), _laser(second.source, plan)
+def _other_laser(one: _Laser, other: _Laser, plan: Plan, *, told_twice: bool) -> str | None:
+    """How the scans of two parts show two lasers, None if they do not.
+
+    told_twice: whether the parts have readings of odometry in common.
+    """
     if not (one.geometries and other.geometries):
-        return None
-    if first.span is None and not _same_time(first_track, second_track):
         return None
     if one.frames and other.frames and not one.frames & other.frames:
         names = f"{_listed(one.frames)} and {_listed(other.frames)}"
@@ -177,7 +218,7 @@ def _other_laser(
         and one.mount is not None
         and other.mount is not None
         and _apart(one.mount, other.mount)
-        and not _told_twice(first_track, second_track).any()
+        and not told_twice
     ):
         mounts = f"{_mount_text(one.mount)} and {_mount_text(other.mount)}"
         return f"the laser is mounted at {mounts}"

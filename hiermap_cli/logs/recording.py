@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from hiermap_cli.config import InputConfig
     from hiermap_cli.logs.records import Mount, Record, ScanBlock
+    from hiermap_cli.logs.seams import Seam
     from hiermap_cli.logs.source import Source
 
 
@@ -53,7 +54,7 @@ def open_recording(paths: Sequence[Path], options: InputConfig) -> Recording:
     """Opens a log: one file, a folder, or the parts of a split recording.
 
     Raises InputError where it cannot be read, has no scans or no odometry, more than one topic
-    fits, or files that overlap in time contradict each other.
+    fits, or its files contradict each other.
     """
     paths = [Path(path) for path in paths]
     return planned(open_source(paths), log_name(paths), options)
@@ -63,11 +64,12 @@ def planned(source: Source, log: str, options: InputConfig) -> Recording:
     """A source with the plan by which it is read. Raises InputError as `open_recording` does."""
     plan = make_plan(source, log, options)
     plan = plan._replace(warnings=(*source.twice, *plan.warnings))
+    seams: tuple[Seam, ...] = ()
     if len(source.paths) > 1:
         from hiermap_cli.logs.parts import check_parts
 
-        check_parts(source, plan)
-    return Recording(source, log, plan, options)
+        seams = check_parts(source, plan)
+    return Recording(source, log, plan, options, seams)
 
 
 def log_name(paths: Sequence[Path]) -> str:
@@ -80,11 +82,19 @@ def log_name(paths: Sequence[Path]) -> str:
 class Recording:
     """A log with the plan by which it is read."""
 
-    def __init__(self, source: Source, log: str, plan: Plan, options: InputConfig) -> None:
+    def __init__(
+        self,
+        source: Source,
+        log: str,
+        plan: Plan,
+        options: InputConfig,
+        seams: tuple[Seam, ...] = (),
+    ) -> None:
         self.source = source
         self.plan = plan
         self.log = log
         self._options = options
+        self._seams = seams
         self._counts: Counter[str] = Counter()
         self.watch: Watch | None = None
 
@@ -165,7 +175,9 @@ class Recording:
 
     def _new_watch(self) -> Watch:
         # CARMEN's second stamp is the logger's own, which need not be of the same epoch.
-        return Watch(self.mount, one_epoch=self.source.format not in ("CARMEN", "Wean"))
+        one_epoch = self.source.format not in ("CARMEN", "Wean")
+        by_header = self.plan.clock != "log"
+        return Watch(self.mount, self._seams, one_epoch=one_epoch, by_header=by_header)
 
     def _in_order(self) -> Iterator[Timed]:
         self._counts.clear()
