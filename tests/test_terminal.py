@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import io
+import itertools
 from pathlib import Path
 
 import pytest
 from rich.console import Console
+from rich.text import Text
 from samples import sample_result
 
 from hiermap_cli.batch.run_log import RunOutcome
-from hiermap_cli.commands import terminal
+from hiermap_cli.commands import inspect, terminal
+from hiermap_cli.commands.bars import parts_of, progress_bars
 from hiermap_cli.commands.terminal import (
     Display,
     PlainDisplay,
@@ -18,6 +21,7 @@ from hiermap_cli.commands.terminal import (
     make_display,
     summary_rows,
 )
+from hiermap_cli.logs.audit import AuditReport, TopicAudit
 from hiermap_cli.mapping.metrics import metric, model_metrics, trajectory_metrics
 
 
@@ -132,3 +136,58 @@ def test_correction_of_odometry_is_measured_from_the_first_pose(outcome):
     # but what turning that centimetre makes.
     assert outcome.values()["odometry_correction_end"] < 0.03
     assert outcome.values()["odometry_correction_end_rot"] < 1e-9
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 80, 110, 200])
+def test_the_count_is_whole_on_any_terminal(width):
+    screen = io.StringIO()
+    console = Console(file=screen, force_terminal=True, width=width)
+    with progress_bars(console, "rate") as progress:
+        progress.add_task("a_log_of_a_long_name" * 5 + ".mcap", total=123456, rate="99999 scans/s")
+        progress.advance(progress.tasks[0].id, 123455)
+        progress.refresh()
+    shown = [Text.from_ansi(line).plain for line in screen.getvalue().split("\n")]
+    assert "123455/123456" in "".join(shown)
+    assert max(map(len, "".join(shown).split("\r"))) <= width
+
+
+def test_the_wider_a_terminal_the_more_of_a_bar():
+    parts = [parts_of(width) for width in range(20, 240)]
+    for narrow, wide in itertools.pairwise(parts):
+        assert (wide.left, wide.said) >= (narrow.left, narrow.said)
+    assert not any((parts[0].bar, parts[0].said, parts[0].left))
+    assert (parts[-1].bar, parts[-1].said, parts[-1].left) == (40, True, True)
+
+
+ODD_TOPICS = (
+    TopicAudit("/s", "sensor_msgs/msg/LaserScan", "", "scans", 123456, 3, None, None, 12.5, 0.25),
+    TopicAudit(
+        "/base/odometry/filtered",
+        "nav_msgs/msg/Odometry",
+        "",
+        "odometry",
+        9,
+        0,
+        None,
+        None,
+        5.0,
+        0.2,
+    ),
+)
+
+
+@pytest.mark.parametrize("width", [30, 36, 40, 50, 60, 70, 80, 90, 120])
+def test_inspect_keeps_every_topic_whole_on_any_terminal(width, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setattr(inspect.sys.stdout, "isatty", lambda: True, raising=False)
+    report = AuditReport("log", "MCAP", ("log",), "", ODD_TOPICS, None, None, (), ())
+    inspect._show(report)
+    lines = [Text.from_ansi(line).plain for line in capsys.readouterr().out.splitlines()]
+    assert max(map(len, lines)) <= width
+    assert not any("\u2026" in line for line in lines)  # nothing is cut
+    words = [line.split() for line in lines]
+    assert "/base/odometry/filtered" in "".join(row[0] for row in words if row)
+    assert any("/s " in line and "123456" in line for line in lines)
+    said = " ".join(lines)
+    for name in ("type", "kind", "Hz", "longest gap s", "unreadable"):
+        assert all(word in said for word in name.split())  # as a column, or as one not shown

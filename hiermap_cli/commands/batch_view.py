@@ -92,26 +92,10 @@ class TerminalView(BatchView):
 
     def planned(self, jobs: int, kept: int, workers: int) -> None:
         """Starts the bars."""
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
+        from hiermap_cli.commands.bars import progress_bars
 
         self._console.print(_plan(jobs, kept, workers))
-        self._progress = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[what]}", markup=False),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=self._console,
-            transient=True,
-        )
+        self._progress = progress_bars(self._console, "what", elapsed=True)
         self._all = self._progress.add_task("jobs", total=jobs, what="")
         self._progress.start()
 

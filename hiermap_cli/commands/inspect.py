@@ -14,11 +14,13 @@ from hiermap_cli.commands.options import InputOptions, log_options
 from hiermap_cli.errors import EXIT_INPUT
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from hiermap_cli.logs.audit import AuditReport, TopicAudit, UseAudit
 
 _PAGE = 160  # characters
+_FOLDED = {"topic": 16, "type": 12}  # columns that may be folded: to so many characters
+_DISPENSABLE = ("longest\ngap s", "type", "kind", "unreadable", "Hz")  # the first goes first
 
 
 @click.command("inspect", short_help="Say what is in a log and what `run` would use.")
@@ -84,20 +86,23 @@ def _show(report: AuditReport) -> None:
     files = report.files[0] if len(report.files) == 1 else f"{len(report.files)} files"
     inside = "" if files == report.log else f", {files}"
     console.print(one_line(f"{report.log}: {report.log_format}{inside}"))
-    topics = Table(box=SIMPLE_HEAD)
-    for name in ("topic", "type"):
-        topics.add_column(name, overflow="fold", min_width=12)
-    topics.add_column("kind", no_wrap=True)
-    # A terminal has 80 columns: names need them more than a column of nothing.
-    numbers = ["messages", "Hz", "longest\ngap s"]
-    if any(topic.undecodable for topic in report.topics):
-        numbers.append("unreadable")
-    for name in numbers:
-        topics.add_column(name, justify="right", no_wrap=True)
-    for topic in report.topics:
-        topics.add_row(*list(_topic_cells(topic))[: len(topics.columns)])
     if report.topics:
+        shown, hidden = _columns(report.topics, console.width)
+        topics = Table(box=SIMPLE_HEAD)
+        for name in shown:
+            topics.add_column(
+                name,
+                justify="left" if name in ("topic", "type", "kind") else "right",
+                no_wrap=name not in _FOLDED,
+                overflow="fold",
+            )
+        for topic in report.topics:
+            cells = _topic_cells(topic)
+            topics.add_row(*(cells[name] for name in shown))
         console.print(topics)
+        if hidden:
+            missing = ", ".join(name.replace("\n", " ") for name in hidden)
+            console.print(f"not shown in {console.width} columns: {missing}")
     if report.use is not None:
         use = Table(box=SIMPLE_HEAD, show_header=False, title="run would use", title_justify="left")
         use.add_column(style="bold", no_wrap=True)
@@ -107,14 +112,40 @@ def _show(report: AuditReport) -> None:
         console.print(use)
 
 
-def _topic_cells(topic: TopicAudit) -> Iterator[str]:
-    yield one_line(topic.name)
-    yield one_line(topic.type)
-    yield topic.kind
-    yield str(topic.messages)
-    yield f"{topic.rate:.2f}"
-    yield f"{topic.longest_gap:.2f}"
-    yield str(topic.undecodable) if topic.undecodable else ""
+def _columns(topics: Sequence[TopicAudit], width: int) -> tuple[list[str], list[str]]:
+    """The columns that a screen of `width` characters has room for, and those it has not.
+
+    Names of topics and types may be folded, to `_FOLDED` characters at least; nothing else is cut.
+    """
+    rows = [_topic_cells(topic) for topic in topics]
+    shown = list(rows[0])
+    if not any(topic.undecodable for topic in topics):
+        shown.remove("unreadable")  # names need the room more than a column of nothing
+    needs = {
+        name: 2 + max(len(line) for text in (name, *(row[name] for row in rows))
+                      for line in text.split("\n"))
+        for name in shown
+    }  # fmt: skip
+    needs |= {name: min(needs[name], 2 + least) for name, least in _FOLDED.items()}
+    for name in _DISPENSABLE:
+        if 2 + sum(needs[name] for name in shown) <= width:
+            break
+        if name in shown:
+            shown.remove(name)
+    return shown, [name for name in needs if name not in shown]
+
+
+def _topic_cells(topic: TopicAudit) -> dict[str, str]:
+    """The cells of a topic by column, in their order."""
+    return {
+        "topic": one_line(topic.name),
+        "type": one_line(topic.type),
+        "kind": topic.kind,
+        "messages": str(topic.messages),
+        "Hz": f"{topic.rate:.2f}",
+        "longest\ngap s": f"{topic.longest_gap:.2f}",
+        "unreadable": str(topic.undecodable) if topic.undecodable else "",
+    }
 
 
 def _use_rows(use: UseAudit) -> Iterator[tuple[str, str]]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from hiermap_cli.batch.run_log import RunOutcome
 
+_NARROW = 60  # characters; what is narrower has its names wrapped too
 _LINE_EVERY = 10.0  # seconds between progress lines where there is no terminal
 
 
@@ -80,23 +81,9 @@ class TerminalDisplay(Display):
 
     def opened(self, log: str, scans: int | None) -> None:
         """Starts the bar."""
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeRemainingColumn,
-        )
+        from hiermap_cli.commands.bars import progress_bars
 
-        self._progress = Progress(
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}", markup=False),
-            TimeRemainingColumn(),
-            console=self._console,
-            transient=True,
-        )
+        self._progress = progress_bars(self._console, "rate")
         self._progress.start()
         self._task = self._progress.add_task(one_line(log), total=scans, rate="")
 
@@ -132,7 +119,10 @@ class TerminalDisplay(Display):
             for line in verbose_lines(outcome):
                 self._console.print(line, soft_wrap=True)
         table = Table(box=SIMPLE_HEAD, show_header=False, title=outcome.log, title_justify="left")
-        table.add_column(style="bold", no_wrap=True)
+        narrow = self._console.width < _NARROW
+        table.add_column(
+            style="bold", no_wrap=not narrow, max_width=_NARROW // 4 if narrow else None
+        )
         table.add_column(overflow="fold")
         for name, value in summary_rows(outcome):
             table.add_row(name, value)
