@@ -46,6 +46,7 @@ MAPPING = [
     "association",
     "keyscans",
     "trail",
+    "repeats",
     "metrics",
     "environment",
     "portals",
