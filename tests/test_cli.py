@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from samples import hiermap, names, program, sample_result
 
-from hiermap_cli.batch.run_log import default_output
+from hiermap_cli.batch.run_log import Observer, default_output, run_log
 from hiermap_cli.commands.options import MountValue, parse_mount
+from hiermap_cli.config import Config, NoiseConfig
 from hiermap_cli.errors import EXIT_FAULT, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_OK, EXIT_USAGE
 from hiermap_cli.mapping import run as mapper
 from hiermap_cli.mapping.model import Trajectory
@@ -167,6 +168,39 @@ def test_warnings_of_the_input_are_shown(tmp_path):
     assert "mount" in warning
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert "mount" in report["input"]["warnings"][0]
+
+
+def test_a_map_with_nothing_in_it_is_warned_of(tmp_path):
+    log = carmen_log(tmp_path / "one.carmen", scans=1)
+    status, _, err = hiermap("run", log, "-o", tmp_path / "out")
+    assert status == EXIT_OK
+    said = [line for line in err.splitlines() if line.startswith("warning: no landmarks")]
+    assert len(said) == 1
+    assert "in 1 scan:" in said[0]
+    assert "`hiermap inspect`" in said[0]
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert f"warning: {report['input']['warnings'][-1]}" == said[0]
+
+
+class Seen(Observer):
+    """What an observer is told, in its order."""
+
+    def __init__(self):
+        self.told = []
+
+    def advanced(self, scans):
+        self.told.append(scans)
+
+    def entered(self, stage):
+        self.told.append(stage)
+
+
+@pytest.mark.parametrize("warm_up", [0, 1, 1000])
+def test_the_observer_is_told_of_every_scan_then_of_the_stages(log, tmp_path, warm_up):
+    seen = Seen()
+    config = Config(noise=NoiseConfig(warm_up=warm_up))
+    run_log([log], config, tmp_path / "out", observer=seen)
+    assert seen.told == [32, 8, "refining", "writing"]
 
 
 @pytest.mark.usefixtures("mapped")

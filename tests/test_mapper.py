@@ -15,7 +15,7 @@ from hiermap_cli.evaluation.consistency import first_pose_alignment, landmark_ne
 from hiermap_cli.evaluation.trajectory import ate
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.filtering import run_filter
-from hiermap_cli.mapping.mapper import Mapper
+from hiermap_cli.mapping.mapper import TOLD_EVERY, Mapper
 from hiermap_cli.mapping.run import map_log
 from hiermap_cli.simulation.simulator import simulate
 from hiermap_cli.simulation.world import build_world, load_world
@@ -226,6 +226,13 @@ def test_blocks_are_gone_through_once_and_counted():
     assert counted == [10] * 7 + [5]
     assert mapper.trail.stamps_ns == simulation.stamps_ns[:75].tolist()
     assert all(value >= 0.0 for value in seconds.values())
+
+
+def test_progress_is_told_within_a_block():
+    simulation, _ = log_of("room")
+    counted = []
+    run_filter(iter([next(simulation.blocks(75))]), Config(), counted.append)
+    assert counted == [TOLD_EVERY, TOLD_EVERY, 75 - 2 * TOLD_EVERY]
 
 
 # --- what goes wrong ---

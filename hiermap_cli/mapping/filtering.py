@@ -22,7 +22,10 @@ WARM_UP_BLOCKS = 16  # of `PART` scans at most, however little the robot moves
 def run_filter(
     blocks: Iterable[ScanBlock], config: Config, progress: Callable[[int], None] | None = None
 ) -> tuple[Mapper, dict[str, float]]:
-    """The filter over the whole log; returns the mapper and the seconds of each stage."""
+    """The filter over the whole log; returns the mapper and the seconds of each stage.
+
+    progress: told the number of scans worked off, within the blocks too.
+    """
     started = time.process_time()
     stream = iter(blocks)
     first, noise = learn_noise(stream, config)
@@ -31,9 +34,7 @@ def run_filter(
         config, noise=noise, noise_rate=config.noise.rate if config.noise.estimate else 0.0
     )
     for seen in chain(first, (SeenBlock(block, config) for block in stream)):
-        mapper.take(seen.block, seen)
-        if progress is not None:
-            progress(len(seen.block))
+        mapper.take(seen.block, seen, progress)
     mapper.finish()
     return mapper, {"noise": learnt - started, "filter": time.process_time() - learnt}
 

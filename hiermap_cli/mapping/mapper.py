@@ -26,6 +26,8 @@ from hiermap_cli.mapping.trail import Trail
 from hiermap_cli.perception.seen import SeenBlock
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from hiermap_cli.config import Config
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 FORGET_EVERY = 10
+TOLD_EVERY = 32  # scans after which a progress is told
 
 
 @dataclass(slots=True)
@@ -114,11 +117,23 @@ class Mapper:
         self.stepper = Stepper(self.config, self.noise)
         self.driving = Driving(self.stepper, Stretches(self.events))
 
-    def take(self, block: ScanBlock, seen: SeenBlock | None = None) -> None:
-        """Filter a block of scans one by one; `seen`: what is known of them already."""
+    def take(
+        self,
+        block: ScanBlock,
+        seen: SeenBlock | None = None,
+        progress: Callable[[int], None] | None = None,
+    ) -> None:
+        """Filter a block of scans one by one; `seen`: what is known of them already.
+
+        progress: told the number of scans worked off, every `TOLD_EVERY` and at the end.
+        """
         seen = seen or SeenBlock(block, self.config)
+        told = 0
         for i, stamp_ns in enumerate(block.stamps_ns.tolist()):
             self._scan(Scan(stamp_ns, block.odometry[i], block.ranges[i], seen, i))
+            if progress is not None and (i + 1 - told == TOLD_EVERY or i + 1 == len(block)):
+                progress(i + 1 - told)
+                told = i + 1
 
     def _scan(self, now: Scan) -> None:
         self.stepper.noise = self.noise
