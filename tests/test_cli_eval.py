@@ -92,6 +92,19 @@ def test_a_limit_on_a_misspelt_metric_is_missed_and_the_right_name_said(place, t
     assert "no metric of that name; did you mean ate_rmse?" in done.stderr
 
 
+def test_the_reason_of_status_3_is_one_line_however_quiet(place, tmp_path):
+    done, _ = evaluate(
+        place, tmp_path, "-q", "--limit", "ate_rms<=3", "--limit", "ate_max<=9", "--limit",
+        "ate_max<0",
+    )  # fmt: skip
+    assert done.exit_code == 3
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("hiermap: ate_rms<=3: could not be measured: ")
+    assert "did you mean ate_rmse?" in done.stderr
+    assert "ate_max<0: missed" in done.stderr
+    assert "ate_max<=9" not in done.stderr
+
+
 def test_where_ci_offers_a_summary_it_is_added_to(place, tmp_path, monkeypatch):
     offered = tmp_path / "step"
     offered.write_text("before\n")
@@ -357,6 +370,12 @@ def test_compare_holds_a_candidate_to_a_baseline(place, tmp_path):
     assert run("compare", bad, good, "--fail-if", "ate_rmse>5%").exit_code == 0
     assert run("compare", good, good, "--fail-if", "ate_rmse>0%").exit_code == 0
     assert run("compare", good, bad, "--fail-if", "door_recall<-1%").exit_code == 3
+    quiet = run(
+        "compare", good, bad, "--fail-if", "ate_rmse>0.01", "--fail-if", "ate_rmse<-1", "-q"
+    )
+    assert quiet.exit_code == 3
+    assert len(quiet.stderr.splitlines()) == 1
+    assert quiet.stderr.startswith("hiermap: ate_rmse>0.01: FAILED, ")
     assert run("compare", good, bad, "--fail-if", "ate_rmse<5%").exit_code == 2
     assert run("compare", good, tmp_path / "none.json").exit_code == 1
     assert Path(good).exists()

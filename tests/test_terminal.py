@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from hiermap_cli.commands.terminal import (
     TerminalDisplay,
     make_display,
     summary_rows,
+    verbose_lines,
 )
 from hiermap_cli.logs.audit import AuditReport, TopicAudit
 from hiermap_cli.mapping.metrics import metric, model_metrics, trajectory_metrics
@@ -191,3 +193,13 @@ def test_inspect_keeps_every_topic_whole_on_any_terminal(width, monkeypatch, cap
     said = " ".join(lines)
     for name in ("type", "kind", "Hz", "longest gap s", "unreadable"):
         assert all(word in said for word in name.split())  # as a column, or as one not shown
+
+
+def test_totals_are_told_apart_from_the_stages(outcome):
+    timing = {"filter": 0.5, "processor": 1.5, "total": 2.0}
+    lines = verbose_lines(replace(outcome, events=(), timing=timing))
+    assert [line.strip() for line in lines] == [
+        "0.500 s  in filter",
+        "1.500 s  of the processor in all",
+        "2.000 s  by the clock in all",
+    ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hiermap_cli.commands.boundary import session
+from hiermap_cli.commands.boundary import one_line, session
 from hiermap_cli.commands.common_options import PATH, ci_options, said_options
 from hiermap_cli.errors import EXIT_LIMIT, EXIT_OK
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 )
 @ci_options("conditions")
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as JSON on stdout.")
-@said_options()
+@said_options(quiet="Nothing on stderr but errors and failed conditions.")
 def command(
     baseline: Path,
     candidate: Path,
@@ -74,6 +74,7 @@ def command(
         f"{one.rule.text}: {'passed' if one.passed else 'FAILED'}, {one.said}"
         for one in comparison.outcomes
     ]
+    failed = [line for line, one in zip(said, comparison.outcomes, strict=True) if not one.passed]
     state = "no conditions" if not asked else "passed" if comparison.passed else "**failed**"
     text = f"### hiermap compare: {state}\n\n" + markdown_table(head, rows, numbers=(1, 2, 3, 4))
     text += "".join(f"\n- {markdown_text(line)}" for line in said) + "\n"
@@ -89,6 +90,8 @@ def command(
     if not quiet:
         for line in (*table_lines(head, rows), *said):
             click.echo(line, err=True)
+    elif not comparison.passed:  # the reason of the status
+        click.echo(f"hiermap: {one_line('; '.join(failed))}", err=True)
     raise click.exceptions.Exit(EXIT_OK if comparison.passed else EXIT_LIMIT)
 
 

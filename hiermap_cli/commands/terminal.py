@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from hiermap_cli.batch.run_log import RunOutcome
 
 _NARROW = 60  # characters; what is narrower has its names wrapped too
+_TOTALS = {"processor": "of the processor in all", "total": "by the clock in all"}
 _LINE_EVERY = 10.0  # seconds between progress lines where there is no terminal
 
 
@@ -157,13 +158,20 @@ def summary_rows(outcome: RunOutcome) -> list[tuple[str, str]]:
 
 
 def verbose_lines(outcome: RunOutcome) -> list[str]:
-    """Events in the order of time, then the seconds of each stage."""
+    """Events in the order of time, then the processor's seconds in each stage and in all."""
     first = outcome.events[0].stamp_ns if outcome.events else 0
     lines = []
     for event in outcome.events:
         details = " ".join(f"{key}={_short(value)}" for key, value in event.details.items())
         lines.append(one_line(f"{(event.stamp_ns - first) / 1e9:9.2f} s  {event.kind} {details}"))
-    return lines + [f"{seconds:9.3f} s  in {stage}" for stage, seconds in outcome.timing.items()]
+    # The totals are no stages.
+    stages = {name: value for name, value in outcome.timing.items() if name not in _TOTALS}
+    lines += [f"{seconds:9.3f} s  in {stage}" for stage, seconds in stages.items()]
+    return lines + [
+        f"{outcome.timing[name]:9.3f} s  {what}"
+        for name, what in _TOTALS.items()
+        if name in outcome.timing
+    ]
 
 
 def _short(value: object) -> str:
