@@ -237,8 +237,32 @@ def test_what_no_batch_has_made_is_never_replaced(tmp_path):
     mine.parent.mkdir(parents=True)
     mine.write_text("mine")
     assert batch(jobs, "-o", tmp_path / "out").returncode == 1
-    assert "it is no earlier result" in summary(tmp_path / "out")["a"]["reason"]
+    assert (
+        "holds a model.json that hiermap did not write" in summary(tmp_path / "out")["a"]["reason"]
+    )
     assert mine.read_text() == "mine"
+
+
+def test_a_file_of_somebody_elses_beside_a_result_stays(finished):
+    folder, jobs, out = finished
+    (out / "log1" / "notes.txt").write_text("mine")
+    small_log(folder / "log1.log", turn=99)
+    assert batch(jobs, "-o", out).returncode == 1
+    reason = summary(out)["log1"]["reason"]
+    assert "holds notes.txt, which is no part of an earlier result of a batch" in reason
+    assert (out / "log1" / "notes.txt").read_text() == "mine"
+    assert leftovers(out) == []
+
+
+@pytest.mark.parametrize("name", ["summary.json", "junit.xml", "summary.md"])
+def test_a_report_that_no_batch_wrote_is_never_replaced(tmp_path, name):
+    jobs = jobs_of([small_log(tmp_path / "a.log")], tmp_path / "jobs.yaml")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_text("mine")
+    done = batch(jobs, "-o", tmp_path / "out")
+    assert done.returncode == 2
+    assert f"{name}: exists and is none that a batch wrote" in done.stderr
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [name]
 
 
 def test_a_folder_of_a_bag_is_known_by_all_of_its_files(tmp_path):

@@ -268,5 +268,5 @@ def test_a_file_that_exists_is_replaced_only_when_told(tmp_path):
 
 
 def test_a_folder_that_is_not_there_is_wrong_usage(tmp_path):
-    with pytest.raises(UsageError, match="cannot be written.*another place with -o"):
+    with pytest.raises(UsageError, match=r"cannot be written.*another place with -o"):
         RosMcapWriter(tmp_path / "none" / "x.mcap", None).__enter__()

@@ -79,8 +79,7 @@ def command(
     from hiermap_cli.documents.eval_file import FORMAT as EVAL_FORMAT
     from hiermap_cli.documents.eval_file import eval_json
     from hiermap_cli.documents.eval_text import eval_lines, said_of
-    from hiermap_cli.documents.own_files import PICTURE, Output
-    from hiermap_cli.documents.own_files import document as head_of
+    from hiermap_cli.documents.own_files import PICTURE, Output, document
     from hiermap_cli.documents.results import RESULT
     from hiermap_cli.evaluation.limits import parse_limit
 
@@ -93,7 +92,7 @@ def command(
         raise UsageError("--overlay draws the model over a reference map: give --reference too")
     if overlay is not None and overlay.suffix.lower() != ".svg":
         raise UsageError(f"{overlay}: --overlay writes SVG: give it a name that ends in .svg")
-    outputs = [Output("-o", target, head_of(EVAL_FORMAT))]
+    outputs = [Output("-o", target, document(EVAL_FORMAT))]
     if overlay is not None:
         outputs.append(Output("--overlay", overlay, PICTURE))
     read = (reference, rooms, trajectory, relations, limits_file)
@@ -108,19 +107,19 @@ def command(
         asked += read_limits(limits_file)
     given = read_truth(reference, trajectory, relations, rooms)
     judgement = judge_run(folder, given, asked)
-    document = judgement.document
-    write_eval(target, document)
+    evaluation = judgement.document
+    write_eval(target, evaluation)
     _write_more(judgement, given, folder.resolve().name, summary, junit, overlay)
     if as_json:
-        click.echo(eval_json(document), nl=False)
+        click.echo(eval_json(evaluation), nl=False)
     if not quiet:
-        for line in eval_lines(document):
+        for line in eval_lines(evaluation):
             click.echo(line, err=True)
     elif not evaluation.passed:  # the reason of the status
         missed = [said_of(one, evaluation) for one in evaluation.limits if not one.passed]
         click.echo(f"hiermap: {one_line('; '.join(missed))}", err=True)
     _warn(judgement, overlay)
-    raise click.exceptions.Exit(EXIT_OK if document.passed else EXIT_LIMIT)
+    raise click.exceptions.Exit(EXIT_OK if evaluation.passed else EXIT_LIMIT)
 
 
 def _write_more(

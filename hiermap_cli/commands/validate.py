@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import difflib
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hiermap_cli.commands.boundary import one_line
+from hiermap_cli.commands.common_options import PATH
 from hiermap_cli.errors import (
     EXIT_INPUT,
     EXIT_OK,
@@ -16,6 +17,9 @@ from hiermap_cli.errors import (
     HiermapError,
     InputError,
 )
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 DOCUMENTS = (".json", ".tum", ".txt", ".yaml", ".yml", ".svg")
 _UNKNOWN = (
@@ -27,7 +31,7 @@ SCHEMAS = ("model", "report", "eval", "reference", "summary", "jobs")
 
 
 @click.command("validate", short_help="Check documents against their schemas.")
-@click.argument("files", nargs=-1, type=click.Path(path_type=Path), metavar="FILE...")
+@click.argument("files", nargs=-1, type=PATH, metavar="FILE...")
 @click.option("--schema", type=click.Choice(SCHEMAS), help="Print a JSON Schema and do no more.")
 def command(files: tuple[Path, ...], schema: str | None) -> None:
     """Check documents against their schemas and rules.

@@ -86,7 +86,7 @@ def _check_contents(folder: Path, shown: Path, contents: Contents, *, force: boo
     if fault is not None:
         raise UsageError(
             f"{shown}: {fault}; --force does not replace that: "
-            "remove it or choose another output folder"
+            "move it elsewhere or choose another output folder"
         )
     if not force:
         raise UsageError(f"{shown}: exists already; --force replaces it")

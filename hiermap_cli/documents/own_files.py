@@ -115,7 +115,7 @@ def output_fault(outputs: Iterable[Output], inputs: Iterable[Path]) -> str | Non
     inputs, before = list(inputs), list[Output]()
     for output in outputs:
         option, path, own = output
-        if path.is_dir():
+        if os.path.isdir(path):  # noqa: PTH112 - raises nothing
             return f"{path}: is a folder; name a file with {option}"
         if any(is_same_file(path, one) for one in inputs):
             return f"{path}: is an input; choose another file with {option}"
@@ -126,7 +126,7 @@ def output_fault(outputs: Iterable[Output], inputs: Iterable[Path]) -> str | Non
         if os.path.exists(path) and not begins(real, own):  # noqa: PTH110 - raises nothing
             return (
                 f"{path}: exists and is none that {option} writes; "
-                f"remove it or choose another file with {option}"
+                f"move it elsewhere or choose another file with {option}"
             )
         before.append(output)
     return None

@@ -38,19 +38,21 @@ class Converted(NamedTuple):
 
 def check_target(target: Path, *, overwrite: bool) -> None:
     """Whether `target` may be written, asked before the work. Raises UsageError."""
-    if target.is_dir():
-        raise UsageError(f"{target}: is a folder; name a file")
-    if target.suffix.lower() != ENDING:
+    if target.suffix.lower() != ENDING and not os.path.isdir(target):  # noqa: PTH112
         raise UsageError(f"{target}: not written; an MCAP wants a name that ends in {ENDING}")
-    if target.exists() and not overwrite:
-        raise UsageError(f"{target}: exists already; --force replaces it")
-    if not target.parent.is_dir():
+    if not os.path.isdir(target.parent):  # noqa: PTH112 - raises nothing
         raise UsageError(f"{target}: there is no folder {target.parent}")
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise UsageError(
             f"{target}: cannot be written ({target.parent} takes no new files); "
             "choose another place with -o"
         )
+    if target.is_dir():
+        raise UsageError(f"{target}: is a folder; name a file")
+    if target.exists() and not target.is_file():
+        raise UsageError(f"{target}: is no regular file; choose another name")
+    if target.exists() and not overwrite:
+        raise UsageError(f"{target}: exists already; --force replaces it")
 
 
 def convert(
