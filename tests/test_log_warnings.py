@@ -178,7 +178,7 @@ def test_odometry_is_watched_alike_in_any_number_of_batches(monkeypatch):
     assert feed(parts, poses) == expected
     assert parts.path == pytest.approx(whole.path)
     assert parts.readings == whole.readings == 1000
-    assert any("jumps 1 times" in text for text in expected)
+    assert any("jumps once" in text for text in expected)
 
 
 def test_steps_to_the_side_are_said_unless_the_robot_always_makes_them():
@@ -213,8 +213,8 @@ def test_clocks_that_disagree_are_said(one_epoch):
     ("log", "parts"),
     [
         ("fr079", ["--mount"]),
-        ("fr079_unsigned", ["--mount", "backing up", "never goes backwards"]),
-        ("csail", ["--mount", "jumps", "sideways", "never goes backwards"]),
+        ("fr079_unsigned", ["--mount", "backing up"]),
+        ("csail", ["--mount", "jumps", "sideways", "sign of reverse motion is lost"]),
         ("aces", ["--mount", "jumps", "no scan for 37.7 s"]),
     ],
 )
@@ -222,6 +222,8 @@ def test_the_known_faults_of_real_logs_are_said_and_no_others(log, parts):
     found = warnings(DATA / log / "log.carmen.gz")
     for part in parts:
         assert any(part in text for text in found), part
+    # Either the scans tell that the sign is lost, or the odometry that it may be.
+    assert sum("sign of reverse motion" in text for text in found) <= 1
     if log == "fr079":
         assert len(found) == 1
 

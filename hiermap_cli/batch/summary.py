@@ -142,9 +142,9 @@ def _markdown(rows: Iterable[Row], tally: Tally) -> Iterator[str]:
             bad.append(_cells(row))
         elif len(good) < _MAX_DONE:
             good.append(_cells(row))
-    head = ("job", "status", "scans", "time", "memory", "limits")
-    for kind in (bad, good):
+    for kind, last in ((bad, "reason"), (good, "limits")):
         if kind:
+            head = ("job", "status", "scans", "time", "memory", last)
             yield markdown_table(head, kind, numbers=(2, 3, 4)) + "\n"
     if tally.done > len(good):
         yield f"and {tally.done - len(good)} more jobs done; all are in {SUMMARY}\n"

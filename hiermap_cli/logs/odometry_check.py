@@ -118,8 +118,8 @@ class OdometryCheck:
         """Whether a path that is long enough to tell has no step backwards."""
         return self._backward == 0 and self.path > _LONG_PATH
 
-    def warnings(self) -> list[str]:
-        """What a person should know, worst first."""
+    def warnings(self, *, sign_is_lost: bool = False) -> list[str]:
+        """What a person should know, worst first; `sign_is_lost`: the scans have told so."""
         self._flush()
         out = []
         if self._moving > 20 and self._fast > 0.5 * self._moving:
@@ -130,7 +130,7 @@ class OdometryCheck:
         elif self.jump_count:
             worst = self.jumps[-1]
             out.append(
-                f"odometry jumps {self.jump_count} times, at worst by {worst.metres:.2f} m and "
+                f"odometry jumps {_times(self.jump_count)}, at worst by {worst.metres:.2f} m and "
                 f"{math.degrees(worst.radians):.0f} degrees at {ns_to_seconds(worst.at_ns)} s"
             )
         if self._clear > 20:
@@ -139,10 +139,10 @@ class OdometryCheck:
                 out.append("odometry drives where its heading in degrees points, not in radians")
         if 0 < self._side_count < 0.05 * max(self._moving, 1):
             out.append(
-                f"odometry steps sideways {self._side_count} times, by up to "
+                f"odometry steps sideways {_times(self._side_count)}, by up to "
                 f"{self._sideways[-1]:.2f} m"
             )
-        if self.never_backward:
+        if self.never_backward and not sign_is_lost:
             out.append(
                 f"odometry never goes backwards over {self.path:.0f} m: the sign of reverse "
                 "motion may be lost, if the robot ever backed up"
@@ -156,6 +156,10 @@ class OdometryCheck:
                 f"{ns_to_seconds(gaps[0].at_ns)} s (every {self.intervals.median():.3f} s else)"
             )
         return out
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def _size(jump: Jump) -> float:

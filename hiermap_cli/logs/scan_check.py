@@ -107,6 +107,13 @@ class ScanCheck:
         """Metres; 0 where nothing was seen."""
         return float(np.median(self._medians)) if self._medians else 0.0
 
+    @property
+    def backs_up(self) -> bool:
+        """Whether the scans show the robot backing up, in steps that odometry tells otherwise."""
+        right, wrong = self._drive_votes
+        mirrored = right + wrong >= _VOTES and wrong > _MOST * (right + wrong)
+        return wrong >= _VOTES and not mirrored
+
     def warnings(self, *, never_backward: bool) -> list[str]:
         """What a person should know; `never_backward` is what odometry says of itself."""
         out = []
@@ -127,7 +134,7 @@ class ScanCheck:
                 f"in {wrong} of {right + wrong} steps the scans move the wrong way: the laser "
                 "seems to look to the rear (see --mount), or odometry's sign is wrong"
             )
-        elif never_backward and wrong >= _VOTES:
+        elif never_backward and self.backs_up:
             out.append(
                 f"in {wrong} of {right + wrong} steps the scans show the robot backing up while "
                 "odometry goes forward: the sign of reverse motion is lost"

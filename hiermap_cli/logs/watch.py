@@ -53,7 +53,7 @@ class Watch:
 
     def warnings(self) -> list[str]:
         """What a person should know of the log."""
-        odometry = self.odometry.warnings()
+        odometry = self.odometry.warnings(sign_is_lost=self.scans.backs_up)
         never_backward = self.odometry.never_backward
         return [
             *(self.seams.warnings() if self.seams is not None else ()),
