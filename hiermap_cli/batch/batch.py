@@ -126,7 +126,8 @@ def _check_reports(folder: Path, shard: Shard) -> None:
         path = folder / name
         if os.path.lexists(path) and not begins(path, REPORTS.get(name, REPORTS[SUMMARY])):
             raise UsageError(
-                f"{path}: exists and is none that a batch wrote; move it elsewhere or choose another -o"
+                f"{path}: exists and is none that a batch wrote; "
+                "move it elsewhere or choose another -o"
             )
 
 
