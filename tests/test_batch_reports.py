@@ -111,6 +111,8 @@ def test_junit_tells_failures_from_errors(mixed):
 def test_markdown_tells_what_went_wrong_first(mixed):
     out, _ = mixed
     text = (out / "summary.md").read_text()
+    heads = [line for line in text.splitlines() if line.startswith("| job ")]
+    assert [head.split("|")[-2].strip() for head in heads] == ["reason", "limits"]
     assert text.startswith("## hiermap batch: 3 jobs: 1 done, 1 missed a limit, 1 failed\n")
     rows = [line for line in text.splitlines() if line.startswith("| ")]
     names = [row.split(" | ")[0] for row in rows]
