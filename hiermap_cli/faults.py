@@ -76,10 +76,21 @@ def _message(details: ErrorDetails, shape: type[BaseModel]) -> str:
         return "is missing"
     if kind == "value_error":  # of a validator of ours
         return str(details["ctx"]["error"])
+    if kind in ("model_type", "model_attributes_type", "dict_type"):
+        return f"must be a section of keys and values, not {_shown(given)}"
+    if kind in ("too_short", "too_long"):
+        bound = "least" if kind == "too_short" else "most"
+        number = details["ctx"]["min_length" if kind == "too_short" else "max_length"]
+        entries = "entry" if number == 1 else "entries"
+        return f"must have at {bound} {number} {entries}, not {details['ctx']['actual_length']}"
     message = details["msg"]
     message = message[0].lower() + message[1:]
+    return f"{message}, not {_shown(given)}"
+
+
+def _shown(given: Any) -> str:
     shown = repr(given)
-    return f"{message}, not {shown if len(shown) <= 60 else shown[:57] + '...'}"
+    return shown if len(shown) <= 60 else shown[:57] + "..."
 
 
 def _keys_at(shape: type[BaseModel], path: Iterable[str | int]) -> list[str]:

@@ -195,6 +195,20 @@ class Seen(Observer):
         self.told.append(stage)
 
 
+def test_a_section_that_is_none_is_said_in_plain_words(log, tmp_path):
+    config = tmp_path / "c.yaml"
+    config.write_text("filter: 3\n")
+    status, _, err = hiermap("run", log, "-o", tmp_path / "out", "--config", config)
+    assert status == EXIT_USAGE
+    assert "filter: must be a section of keys and values, not 3" in err
+
+
+def test_a_negative_start_is_wrong_usage(log, tmp_path):
+    status, _, err = hiermap("run", log, "-o", tmp_path / "out", "--start", "-5")
+    assert status == EXIT_USAGE
+    assert "--start" in err
+
+
 @pytest.mark.parametrize("warm_up", [0, 1, 1000])
 def test_the_observer_is_told_of_every_scan_then_of_the_stages(log, tmp_path, warm_up):
     seen = Seen()

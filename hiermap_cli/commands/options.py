@@ -114,6 +114,13 @@ _OPTIONS = (
         metavar="x,y,yaw[,flipped]",
         help="Pose of the laser on the robot in metres and radians, instead of the log's.",
     ),
-    click.option("--start", type=float, metavar="S", help="Seconds after the first stamp."),
-    click.option("--end", type=float, metavar="S", help="Seconds after the first stamp."),
+    click.option(
+        "--start",
+        type=click.FloatRange(min=0.0),
+        metavar="S",
+        help="Seconds after the first stamp.",
+    ),
+    click.option(
+        "--end", type=click.FloatRange(min=0.0), metavar="S", help="Seconds after the first stamp."
+    ),
 )
