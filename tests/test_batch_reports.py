@@ -102,7 +102,7 @@ def test_junit_tells_failures_from_errors(mixed):
         "errors": "1",
     }
     good, bad, room = suite.findall("testcase")
-    assert list(good) == []
+    assert {said.tag for said in good} <= {"system-out"}  # a warning, if anything
     assert bad.find("error") is not None
     assert "ate_rmse<=0.0001" in room.find("failure").get("message")
     assert float(room.get("time")) > 0

@@ -99,8 +99,8 @@ def unsigned(poses):
 def test_a_lost_sign_shows_in_odometry_and_in_the_scans(tmp_path):
     path = room.write(tmp_path / "x.mcap", odometry=unsigned(room.drive()))
     found = warnings(path)
-    assert any("never goes backwards" in text for text in found)
-    assert any("show the robot backing up" in text for text in found)
+    (text,) = [text for text in found if "backing up" in text or "never goes backwards" in text]
+    assert "show the robot backing up" in text  # the surer of the two is said
 
 
 def test_ranges_in_centimetres_are_said(tmp_path):
@@ -154,7 +154,7 @@ def test_a_jump_of_fifty_metres_is_said_and_survived(tmp_path):
     told[60:, 0] += 50.0
     found = warnings(room.write(tmp_path / "x.mcap", odometry=told))
     (text,) = [text for text in found if "jumps" in text]
-    assert "1 times" in text
+    assert "jumps once" in text
     assert "50.0" in text
 
 
@@ -183,7 +183,7 @@ def test_odometry_is_watched_alike_in_any_number_of_batches(monkeypatch):
 
 def test_steps_to_the_side_are_said_unless_the_robot_always_makes_them():
     ahead = [(0.05 * i, 0.2 * (i > 300), 0.0) for i in range(600)]
-    assert any("sideways 1 times" in text for text in feed(OdometryCheck(), ahead))
+    assert any("sideways once" in text for text in feed(OdometryCheck(), ahead))
     crab = [(0.0, 0.3 * i, 0.0) for i in range(600)]
     assert not any("sideways" in text for text in feed(OdometryCheck(), crab, SECOND))
 

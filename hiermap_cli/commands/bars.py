@@ -36,6 +36,11 @@ def parts_of(width: int) -> Parts:
     return Parts(min(_WIDEST, name + rest - bar - 1), bar, said, left)
 
 
+def room_for(console: Console, *, elapsed: bool = False) -> Parts:
+    """What there is room for on `console`, beside the time elapsed where that is shown."""
+    return parts_of(console.width - (_LEFT if elapsed else 0))
+
+
 def progress_bars(console: Console, field: str, *, elapsed: bool = False) -> Progress:
     """Bars on `console`; `field` is the tasks' field that is shown behind the count."""
     from rich.progress import (
@@ -49,7 +54,7 @@ def progress_bars(console: Console, field: str, *, elapsed: bool = False) -> Pro
     )
     from rich.table import Column
 
-    parts = parts_of(console.width - (_LEFT if elapsed else 0))
+    parts = room_for(console, elapsed=elapsed)
     name = Column(no_wrap=True, overflow="ellipsis", max_width=max(parts.name, 1))
     columns: list[ProgressColumn] = [
         TextColumn("{task.description}", markup=False, table_column=name)

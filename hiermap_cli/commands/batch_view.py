@@ -88,13 +88,15 @@ class TerminalView(BatchView):
         self._progress: Progress | None = None
         self._lock = threading.Lock()
         self._bars: dict[int, TaskID] = {}
+        self._room = 0
         self._begin = time.monotonic()
 
     def planned(self, jobs: int, kept: int, workers: int) -> None:
         """Starts the bars."""
-        from hiermap_cli.commands.bars import progress_bars
+        from hiermap_cli.commands.bars import progress_bars, room_for
 
         self._console.print(_plan(jobs, kept, workers))
+        self._room = room_for(self._console, elapsed=True).name
         self._progress = progress_bars(self._console, "what", elapsed=True)
         self._all = self._progress.add_task("jobs", total=jobs, what="")
         self._progress.start()
@@ -109,7 +111,9 @@ class TerminalView(BatchView):
                 self._bars[worker] = progress.add_task("", total=None, what="")
             bar = self._bars[worker]
             if "pid" in event:  # a job begins
-                progress.reset(bar, description=_short(job.name), total=None, what="opening")
+                progress.reset(
+                    bar, description=_short(job.name, self._room), total=None, what="opening"
+                )
             changes: dict[str, Any] = {}
             if event.get("total") is not None:
                 changes["total"] = event["total"]
@@ -169,7 +173,7 @@ def _ending(tally: Tally, output: Path, seconds: float) -> list[str]:
     return [f"{tally.text()}, in {seconds_text(seconds)}", f"results: {output}"]
 
 
-def _short(name: str) -> str:
+def _short(name: str, room: int) -> str:
     """The end of a name, which tells most: bars have little room."""
     name = one_line(name)
-    return name if len(name) <= 40 else "..." + name[-37:]
+    return name if len(name) <= room else "..." + name[len(name) - max(room - 3, 1) :]
