@@ -46,6 +46,20 @@ def small_log(path: Path, *, turn: int = 0, scans: int = 4) -> Path:
     return path
 
 
+def makings(folder: Path) -> dict[str, tuple[int, int]]:
+    """Which making of each job's model lies there: one made again differs.
+
+    Inode and time of the last writing: a file system may give a new file the inode of the
+    one it replaced.
+    """
+    found = {}
+    for path in folder.rglob("model.json"):
+        if ".partial" not in path.parts:
+            stat = path.stat()
+            found[path.parent.name] = (stat.st_ino, stat.st_mtime_ns)
+    return found
+
+
 def small_logs(folder: Path, count: int) -> list[Path]:
     return [small_log(folder / f"log{index}.log", turn=index) for index in range(count)]
 

@@ -20,6 +20,7 @@ from batch_cases import (
     is_alive,
     jobs_of,
     leftovers,
+    makings,
     reader_of,
     results,
     small_log,
@@ -180,7 +181,7 @@ def test_killed_at_any_moment_the_end_is_the_same(tmp_path, count):
     assert batch(jobs, "-o", tmp_path / "undisturbed").returncode == 0
     wanted = results(tmp_path / "undisturbed")
     out = tmp_path / "out"
-    made: dict[str, int] = {}
+    made: dict[str, tuple[int, int]] = {}
     for attempt in range(count - 1):
         with started(jobs, "-o", out, "--workers", 2) as process:
             known = len(made)
@@ -192,16 +193,15 @@ def test_killed_at_any_moment_the_end_is_the_same(tmp_path, count):
             time.sleep(0.013 * (attempt % 10))
             process.kill()
             process.wait()
-        for name in results(out):  # whatever is there is whole
-            inode = (out / name / "model.json").stat().st_ino
-            assert made.setdefault(name, inode) == inode, f"{name} was done twice"
+        results(out)  # whatever is there is whole
+        for name, making in makings(out).items():
+            assert made.setdefault(name, making) == making, f"{name} was done twice"
         if len(made) == count:
             break
     assert batch(jobs, "-o", out).returncode == 0
     assert results(out) == wanted
     assert leftovers(out) == []
-    after = {name: (out / name / "model.json").stat().st_ino for name in wanted}
-    assert made.items() <= after.items()
+    assert made.items() <= makings(out).items()
 
 
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])

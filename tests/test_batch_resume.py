@@ -12,6 +12,7 @@ from batch_cases import (
     batch,
     jobs_of,
     leftovers,
+    makings,
     results,
     small_log,
     small_logs,
@@ -25,11 +26,6 @@ from hiermap_cli.batch.batch import _sorted_out
 from hiermap_cli.batch.content import Known, look, read_record
 from hiermap_cli.batch.jobs_file import read_jobs
 from hiermap_cli.errors import InputError
-
-
-def inodes(folder):
-    """A result that was made again has another inode."""
-    return {path.parent.name: path.stat().st_ino for path in folder.rglob("model.json")}
 
 
 @pytest.fixture(scope="module")
@@ -58,44 +54,44 @@ def test_every_result_is_whole_and_nothing_else_is_left(finished):
 
 def test_a_finished_batch_does_nothing_again(finished):
     _, jobs, out = finished
-    before, first = inodes(out), (out / "summary.json").read_bytes()
+    before, first = makings(out), (out / "summary.json").read_bytes()
     done = batch(jobs, "-o", out)
     assert done.returncode == 0
     assert "[1/" not in done.stderr
-    assert inodes(out) == before
+    assert makings(out) == before
     assert (out / "summary.json").read_bytes() == first
 
 
 def test_a_log_of_another_content_is_done_again_and_no_other(finished):
     folder, jobs, out = finished
-    before = inodes(out)
+    before = makings(out)
     small_log(folder / "log1.log", turn=99)
     assert batch(jobs, "-o", out).returncode == 0
-    after = inodes(out)
+    after = makings(out)
     assert {name for name in after if after[name] != before[name]} == {"log1"}
     assert leftovers(out) == []
 
 
 def test_a_log_that_was_only_touched_is_not_done_again(finished):
     folder, jobs, out = finished
-    before = inodes(out)
+    before = makings(out)
     os.utime(folder / "log1.log")
     done = batch(jobs, "-o", out, "-v")
     assert done.returncode == 0
     assert "log1: done, kept" in done.stderr
-    assert inodes(out) == before
+    assert makings(out) == before
 
 
 @pytest.mark.slow
 def test_a_log_that_moved_with_its_jobs_file_is_not_done_again(finished):
     folder, _, out = finished
-    before = inodes(out)
+    before = makings(out)
     for index in range(3):
         shutil.copy(folder / f"log{index}.log", folder / f"moved{index}.log")
     entries = [{"name": f"log{i}", "log": f"moved{i}.log"} for i in range(3)]
     write_jobs(folder / "moved.yaml", entries)
     assert batch(folder / "moved.yaml", "-o", out).returncode == 0
-    assert inodes(out) == before
+    assert makings(out) == before
 
 
 @pytest.fixture(scope="module")
@@ -126,15 +122,15 @@ def again(judged, tmp_path):
 
 def test_another_configuration_is_another_run(again):
     folder, run = again
-    before = inodes(folder / "out")
+    before = makings(folder / "out")
     (folder / "c.yaml").write_text("segmentation: {min_points: 9}\n")
     assert run(config="c.yaml")[0] == 0
-    assert inodes(folder / "out") != before
+    assert makings(folder / "out") != before
 
 
 def test_other_limits_are_held_by_the_same_run(again):
     folder, run = again
-    before = inodes(folder / "out")
+    before = makings(folder / "out")
     status, row = run(limits=["ate_rmse<=9", "areas>=99"])
     assert (status, row["status"]) == (3, "limit_missed")
     assert [one["passed"] for one in row["limits"]] == [True, False]
@@ -143,32 +139,32 @@ def test_other_limits_are_held_by_the_same_run(again):
     assert (status, row["status"], row["limits"]) == (0, "done", [])
     assert "ate_rmse" not in row["metrics"]
     assert not (folder / "out" / "a" / "eval.json").exists()
-    assert inodes(folder / "out") == before
+    assert makings(folder / "out") == before
     assert leftovers(folder / "out") == []
 
 
 def test_another_truth_judges_the_same_run(again):
     folder, run = again
-    before = inodes(folder / "out")
+    before = makings(folder / "out")
     lines = (folder / "truth.tum").read_text().splitlines()
     t, x, *rest = lines[-1].split()
     lines[-1] = " ".join([t, str(float(x) + 1.0), *rest])
     (folder / "truth.tum").write_text("\n".join(lines) + "\n")
     _, row = run()
     assert row["metrics"]["ate_rmse"] > 0.01
-    assert inodes(folder / "out") == before
+    assert makings(folder / "out") == before
 
 
 def test_a_truth_that_cannot_be_read_costs_no_run(again):
     folder, run = again
-    before = inodes(folder / "out")
+    before = makings(folder / "out")
     truth = (folder / "truth.tum").read_text()
     (folder / "truth.tum").write_text("no trajectory\n")
     status, row = run()
     assert (status, row["status"]) == (1, "failed")
     (folder / "truth.tum").write_text(truth)
     assert run()[0] == 0
-    assert inodes(folder / "out") == before
+    assert makings(folder / "out") == before
 
 
 @pytest.mark.slow
@@ -177,10 +173,10 @@ def test_a_comment_in_the_configuration_is_not(tmp_path):
     (tmp_path / "c.yaml").write_text("segmentation: {min_points: 6}\n")
     jobs = jobs_of([log], tmp_path / "jobs.yaml", config="c.yaml")
     assert batch(jobs, "-o", tmp_path / "out").returncode == 0
-    before = inodes(tmp_path / "out")
+    before = makings(tmp_path / "out")
     (tmp_path / "c.yaml").write_text("# why\nsegmentation:\n  min_points: 6\n")
     assert batch(jobs, "-o", tmp_path / "out").returncode == 0
-    assert inodes(tmp_path / "out") == before
+    assert makings(tmp_path / "out") == before
 
 
 def test_a_missed_limit_is_done_and_a_failed_job_is_tried_again(tmp_path):
@@ -190,13 +186,13 @@ def test_a_missed_limit_is_done_and_a_failed_job_is_tried_again(tmp_path):
     out = tmp_path / "out"
     assert batch(jobs, "-o", out).returncode == 1
     assert statuses(out) == {"log0": "limit_missed", "log1": "failed"}
-    before = inodes(out)
+    before = makings(out)
     small_log(logs[1], turn=1)
     again = batch(jobs, "-o", out)
     assert again.returncode == 3
     assert "log0" not in again.stderr
     assert statuses(out) == {"log0": "limit_missed", "log1": "limit_missed"}
-    assert inodes(out)["log0"] == before["log0"]
+    assert makings(out)["log0"] == before["log0"]
 
 
 def test_a_result_of_other_contents_is_gone_when_the_job_fails(finished):
