@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hiermap_cli.documents.eval_file import EVAL, EvalDocument, write_eval
+from hiermap_cli.documents.eval_file import EvalDocument, write_eval
 from hiermap_cli.documents.model_load import load_model
+from hiermap_cli.documents.own_files import EVAL
 from hiermap_cli.documents.reading import read_shape
 from hiermap_cli.documents.reference import ReferenceMap, read_reference
 from hiermap_cli.documents.relations import read_relations

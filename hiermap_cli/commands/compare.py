@@ -54,10 +54,11 @@ def command(
     import pydantic_core
 
     from hiermap_cli.commands.ci import check_written, write_summary
-    from hiermap_cli.documents.eval_file import EVAL, read_eval
+    from hiermap_cli.documents.eval_file import read_eval
     from hiermap_cli.documents.eval_text import table_lines
     from hiermap_cli.documents.junit import Case, write_junit
     from hiermap_cli.documents.markdown import figure, markdown_table, markdown_text
+    from hiermap_cli.documents.own_files import EVAL
     from hiermap_cli.evaluation.regression import compare, parse_rule
 
     session().verbose = verbose

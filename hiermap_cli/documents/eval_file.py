@@ -9,6 +9,7 @@ import pydantic_core
 
 from hiermap_cli.documents.checks import plain
 from hiermap_cli.documents.folder import output_file
+from hiermap_cli.documents.own_files import EVAL, EVAL_FORMAT
 from hiermap_cli.documents.reading import joined, read_shape
 from hiermap_cli.documents.semantics import eval_faults
 from hiermap_cli.documents.shapes import EvalDocument as EvalShape
@@ -19,9 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-FORMAT = "hiermap-eval"
+FORMAT = EVAL_FORMAT
 VERSION = (1, 0)
-EVAL = "eval.json"
 
 
 class LimitOutcome(NamedTuple):

@@ -20,6 +20,9 @@ _HEAD = 4096  # bytes; a recording is not read whole to see what it is
 _TRACEBACK = re.compile(r"hiermap-traceback-[0-9T]+-[0-9]+\.txt")
 _UNFINISHED = re.compile(r"\.(.+)\.[0-9a-f]{8}(\.part)?")
 
+EVAL = "eval.json"
+EVAL_FORMAT = "hiermap-eval"
+
 # How files of ours begin that are no JSON.
 TUM = rb"-?\d+\.\d{9}( -?\d+\.\d{9}){2} 0 0 0( -?\d\.\d{12}){2}\n"
 COVARIANCES = rb"-?\d+\.\d{9}( -?\d\.\d{14}e[-+]\d+){6}\n"

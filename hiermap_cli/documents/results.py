@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from hiermap_cli.documents import own_files
-from hiermap_cli.documents.eval_file import EVAL
-from hiermap_cli.documents.eval_file import FORMAT as EVAL_FORMAT
 from hiermap_cli.documents.model_file import FORMAT as MODEL_FORMAT
 from hiermap_cli.documents.model_file import write_model
 from hiermap_cli.documents.report_file import FORMAT as REPORT_FORMAT
@@ -35,7 +33,7 @@ RESULT = own_files.Contents(
         TRAJECTORY_FILTER: own_files.TUM,
         TRAJECTORY_COVARIANCE: own_files.COVARIANCES,
         PICTURE: own_files.PICTURE,
-        EVAL: own_files.document(EVAL_FORMAT),
+        own_files.EVAL: own_files.document(own_files.EVAL_FORMAT),
     },
 )
 
