@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 
 from hiermap_cli.config import LostConfig
-from hiermap_cli.mapping.odometry.carried import CALM, CarryWatch
+from hiermap_cli.mapping.odometry.carried import CALM, Carried, CarryWatch
 
 BEAMS = 90
 
 
-def watched(odometry, ranges):
+def told_of(odometry, ranges):
     watch = CarryWatch(LostConfig())
     return [
         watch.put_down(np.array([x, 0.0, 0.0]), r) for x, r in zip(odometry, ranges, strict=True)
     ]
+
+
+def watched(odometry, ranges):
+    return [told is Carried.SURELY for told in told_of(odometry, ranges)]
 
 
 def scan(seed, noise):
@@ -37,6 +41,19 @@ def test_who_is_put_down_where_all_is_nearer_was_carried():
     here = [scan(1, noise) for _ in range(3)]
     there = [0.4 * scan(1, noise) for _ in range(3)]
     assert np.flatnonzero(watched(np.zeros(6), here + there)).tolist() == [4]
+
+
+def test_few_other_ranges_leave_a_doubt_and_fewer_none():
+    """Farther along a corridor only doors and the corridor's end are elsewhere."""
+    noise = np.random.default_rng(0)
+    for others, expected in ((14, Carried.MAYBE), (5, Carried.NO)):
+        before = [scan(1, noise) for _ in range(3)]
+        after = [scan(1, noise) for _ in range(3)]
+        for r in after:
+            r[:others] += np.where(np.arange(others) % 2, 1.0, -0.5)
+        told = told_of(np.zeros(6), before + after)
+        assert told[4] is expected
+        assert told[:4] + told[5:] == [Carried.NO] * 5
 
 
 def test_odometry_that_moves_explains_other_ranges():
@@ -72,10 +89,10 @@ def test_a_robot_that_moved_unnoticed_is_not_carried_when_it_stands_again():
     watch = CarryWatch(LostConfig())
     still = np.zeros(3)
     for _ in range(3):
-        assert not watch.put_down(still, scan(1, noise))
+        assert watch.put_down(still, scan(1, noise)) is Carried.NO
     watch.forget()
-    assert not watch.put_down(still, scan(2, noise))
-    assert not watch.put_down(still, scan(2, noise))
+    assert watch.put_down(still, scan(2, noise)) is Carried.NO
+    assert watch.put_down(still, scan(2, noise)) is Carried.NO
 
 
 def test_scans_that_say_little_or_differ_in_number_tell_nothing():

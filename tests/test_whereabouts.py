@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from hiermap_cli.config import Config
+from hiermap_cli.estimation.stochastic_map import initial_map
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.area_map import EMPTY, AreaMap
 from hiermap_cli.mapping.topology.freespace import FreeGrid
-from hiermap_cli.mapping.topology.whereabouts import compared, seen
+from hiermap_cli.mapping.topology.whereabouts import compared, farther_along, seen
+from hiermap_cli.perception.sight import Sight
+from hiermap_cli.perception.views import SegmentView
 
 LENGTH, WIDTH = 9.0, 2.0
 NICHES = (1.0, 3.5, 7.0)  # on the right of the corridor, 0.9 m wide and 0.5 m deep
@@ -56,3 +62,32 @@ def test_who_has_seen_nothing_agrees_with_nothing():
     found = compared(nothing, grid_of([(2.0, 1.0, 0.0)]), np.zeros((2, 3)))
     assert found.share.tolist() == [0.0, 0.0]
     assert found.against.tolist() == [1.0, 1.0]
+
+
+THERE = [(x, 1.0, 0.0) for x in (0.5, 2.0, 4.0, 6.0, 8.0)]
+WALL = SegmentView(  # on its left, all along the corridor
+    np.array([[0.0, 1.0]]), np.array([np.pi]), np.array([1e-6]), np.array([1e-5]),
+    np.array([[[1.0, 1.0], [-1.0, 1.0]]]), np.zeros((1, 2), dtype=np.int64),
+    np.full((1, 2), 0.05), np.array([2.0]),
+)  # fmt: skip
+
+
+def farther(x, heading, believed, person=()):
+    """The answer to a scan from a place in the corridor; person: beams that one has cut short."""
+    ends = ends_from(x, 1.0, heading)
+    ends[list(person)] *= 0.5
+    empty = AreaMap(
+        initial_map(np.zeros(3), np.zeros((3, 3)), np.zeros(0), np.zeros((0, 0))), EMPTY
+    )
+    R = se2.between(np.array(THERE[0]), np.array(believed))
+    return farther_along(R, Sight(np.zeros(2), ends), WALL, empty, grid_of(THERE), Config())
+
+
+@pytest.mark.parametrize("heading", [0.0, np.pi])
+def test_a_robot_put_down_farther_along_a_corridor_is_not_where_it_was(heading):
+    assert farther(3.0, heading, (5.5, 1.0, 0.0))
+    assert not farther(3.0, 0.0, (3.0, 1.0, 0.0))
+
+
+def test_people_beside_the_robot_do_not_carry_it():
+    assert not farther(3.0, 0.0, (3.0, 1.0, 0.0), person=range(60, 110))

@@ -17,11 +17,13 @@ from hiermap_cli.mapping.association.area_filter import Step, forget_unseen, obs
 from hiermap_cli.mapping.association.innovations import InnovationLog
 from hiermap_cli.mapping.keyscans import BetweenRecord, KeyScanRecord
 from hiermap_cli.mapping.model import Event
+from hiermap_cli.mapping.odometry.carried import Carried
 from hiermap_cli.mapping.odometry.driving import Driving
 from hiermap_cli.mapping.odometry.stepping import Stepper, matched_walls
 from hiermap_cli.mapping.odometry.stretches import Stretches
 from hiermap_cli.mapping.topology.crossing import Crossings, Passing
 from hiermap_cli.mapping.topology.lost import moved, through_walls
+from hiermap_cli.mapping.topology.whereabouts import farther_along
 from hiermap_cli.mapping.trail import Trail
 from hiermap_cli.perception.seen import SeenBlock
 
@@ -145,7 +147,9 @@ class Mapper:
             self._record(now, np.zeros(3), step)
             self.trail.key(now.stamp_ns, self.current, self.area.V)
             return
-        if carried:
+        if carried is Carried.MAYBE and self._is_farther_along(now, increment):
+            carried = Carried.SURELY
+        if carried is Carried.SURELY:
             self._put_down(now, increment)
             return
         c = self.config.filter
@@ -227,6 +231,12 @@ class Mapper:
             motion = self.stepper.motion(self.area, increment, trusted=one.drive.trusted)
             self._wait(one.drive)
             self._key(one.now, one.drive._replace(before=self.area, motion=motion))
+
+    def _is_farther_along(self, now: Scan, increment: Array) -> bool:
+        """Whether the map tells that the robot was put down farther along the walls."""
+        believed = se2.compose(self.area.V.robot, increment)
+        there = self.crossings.places.seen(self.current)
+        return farther_along(believed, now.sight, now.view, self.area, there, self.config)
 
     def _put_down(self, now: Scan, increment: Array) -> None:
         """The robot was carried: what it saw until then stands, it goes on by itself."""

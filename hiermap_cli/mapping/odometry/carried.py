@@ -6,11 +6,15 @@ does not stand where it stood. People who come or go, and doors, change fewer of
 of them one way, or go on changing them; only who is carried from a room into a narrow corridor
 has nearly all of them shorter. Unlike a scan that fits no wall this shows in a corridor
 too, where from anywhere the same two walls are seen.
+
+Who is put down farther along a long corridor sees so little else that people could have done it:
+there only the map can tell, by a place that has been seen to look so.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +32,15 @@ if TYPE_CHECKING:
 CALM = 0.1  # share of the ranges that change, at most, while a robot stands
 EITHER_WAY = 0.15  # of the ranges that are others: at least so many longer, and so many shorter
 NEARLY_ALL = 0.8  # of the ranges: if so many are others, no matter which way
+DOUBTFUL = 0.5  # of the ranges that a robot put down has others: so many and it may have been
+
+
+class Carried(IntEnum):
+    """Whether the robot has been put down elsewhere."""
+
+    NO = 0
+    MAYBE = 1
+    SURELY = 2
 
 
 @dataclass(slots=True)
@@ -42,22 +55,24 @@ class CarryWatch:
     _last: tuple[Array, Ranges] | None = None
     _stood: tuple[Array, Ranges] | None = None
 
-    def put_down(self, odometry: Array, ranges: Ranges) -> bool:
+    def put_down(self, odometry: Array, ranges: Ranges) -> Carried:
         """Whether the robot has been put down where it stands, by the second scan there."""
         now = odometry, ranges[:: max(1, len(ranges) // BEAMS)]
         last, self._last = self._last, now
         if last is None or not _same(last[0], odometry):
             self._stood = None
-            return False
+            return Carried.NO
         if sum(self._others(last[1], now[1])) > CALM:
-            return False
+            return Carried.NO
         stood, self._stood = self._stood, now
         if stood is None or not _same(stood[0], odometry):
-            return False
+            return Carried.NO
         longer, shorter = self._others(stood[1], now[1])
         both = longer + shorter
         either_way = min(longer, shorter) > EITHER_WAY * both
-        return both > self.config.others and (either_way or both > NEARLY_ALL)
+        if both > self.config.others and (either_way or both > NEARLY_ALL):
+            return Carried.SURELY
+        return Carried.MAYBE if both > DOUBTFUL * self.config.others else Carried.NO
 
     def forget(self) -> None:
         """The robot has moved, although its odometry has not told."""

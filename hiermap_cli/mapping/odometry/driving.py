@@ -16,7 +16,7 @@ import numpy as np
 from hiermap_cli.estimation.stochastic_map import predict
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.association.area_filter import observe
-from hiermap_cli.mapping.odometry.carried import CarryWatch
+from hiermap_cli.mapping.odometry.carried import Carried, CarryWatch
 from hiermap_cli.mapping.odometry.direction import DirectionWatch, Drive
 from hiermap_cli.mapping.odometry.standstill import Standstill
 
@@ -43,7 +43,7 @@ class Coming(NamedTuple):
 
     increment: Array
     belied: bool
-    carried: bool
+    carried: Carried
 
 
 class Overdue(NamedTuple):

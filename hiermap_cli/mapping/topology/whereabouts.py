@@ -13,15 +13,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import raster, se2
-from hiermap_cli.mapping.association.relocation import explained_length
+from hiermap_cli.mapping.association.relocation import area_lines, explained_length
 from hiermap_cli.mapping.topology.freespace import CELL, FreeGrid
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from hiermap_cli.config import RelocationConfig
+    from hiermap_cli.config import Config, RelocationConfig
+    from hiermap_cli.mapping.area_map import AreaMap
     from hiermap_cli.mapping.association.relocation import Lines
     from hiermap_cli.mapping.topology.passages import Trace
+    from hiermap_cli.perception.sight import Sight
     from hiermap_cli.perception.views import SegmentView
 
     Array = NDArray[np.float64]
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 ON, OFF = 1.5, 2.5  # cells from an end within which it is the same, and beyond which it is not
 FIT_ANGLE, FIT_OFFSET, ROUNDS = 0.12, 0.3, 3  # between walls that are laid on each other
 LEAST_ENDED = 2  # scans that ended in a cell: once is what walks about
+APART, ALONG = 6, 100  # cells along the walls to another place, and to the farthest one asked for
+TURNED = np.array([0.0, 0.0, np.pi])
 
 
 class Seen(NamedTuple):
@@ -99,6 +103,44 @@ def compared(here: Seen, there: Seen, R_t_h: Array) -> Comparison:
         share[p] = n / len(here.ends)
         against[p] = bad / max(n + bad, 1)
     return Comparison(share, against)
+
+
+def farther_along(
+    believed: Array,
+    sight: Sight,
+    view: SegmentView,
+    area: AreaMap,
+    there: Seen,
+    config: Config,
+) -> bool:
+    """Whether a scan, taken where the robot stands, shows a place farther along the walls.
+
+    Along a corridor the walls are the same wherever the robot is, whichever way it faces. It is
+    elsewhere where what was seen of the area, `there`, contradicts the scan as taken at `believed`
+    (3,), and does not as taken somewhere else on the line of the longest wall. Neither people nor
+    ground that is new show such a place.
+    """
+    c = config.lost
+    if not len(view.length):
+        return False
+    grid = FreeGrid()
+    for _ in range(LEAST_ENDED):  # it stands: what it sees now it sees again
+        grid.add(sight.origin, sight.ends)
+    start = np.array([believed, se2.compose(believed, TURNED)])
+    lines = area_lines(area, config.relocation.least_seen)
+    if len(lines.theta):
+        start = settled(lines, view, start, config.relocation)
+    along = start[:, 2] + float(view.theta[int(view.length.argmax())])
+    steps = CELL * np.arange(-ALONG, ALONG + 1)
+    poses = np.repeat(start, len(steps), axis=0)
+    poses[:, 0] += np.outer(np.cos(along), steps).ravel()
+    poses[:, 1] += np.outer(np.sin(along), steps).ravel()
+    share, against = compared(seen(grid), there, poses)
+    stays = float(against[ALONG])
+    against[share <= c.min_seen] = 1.0
+    against[ALONG - APART : ALONG + APART + 1] = 1.0  # facing as it does: no other place
+    best = float(against.min())
+    return stays > c.max_against >= best and stays >= c.clear * max(best, c.floor)
 
 
 def settled(lines: Lines, view: SegmentView, poses: Array, config: RelocationConfig) -> Array:
