@@ -132,6 +132,25 @@ def test_walls_favour_the_way_that_the_robot_has_come(monkeypatch):
     assert pulled > 20
 
 
+def test_odometry_that_has_backed_up_is_believed_ahead(monkeypatch):
+    """What was open closes when such odometry tells of going ahead; before, it stays open."""
+    watch, left = DirectionWatch.weigh, []
+
+    def weigh(self, drive, key, view, step):
+        self._told_backward = told
+        other = watch(self, drive, key, view, step)
+        ahead = drive.increments[-1, 0] > 0.0
+        left.append((bool(ahead), bool(self._window)))
+        return other
+
+    monkeypatch.setattr(DirectionWatch, "weigh", weigh)
+    for told in (1.0, 0.0):
+        left.clear()
+        filtered(simulated(0).blocks())
+        assert any(ahead for ahead, _ in left)
+        assert any(open_ for ahead, open_ in left if ahead) == (told == 0.0)
+
+
 @pytest.mark.parametrize("seed", [62])
 def test_ends_that_are_measured_ill_turn_nothing_about(seed):
     """What ceases to match costs less than outliers, but does not show the other direction.

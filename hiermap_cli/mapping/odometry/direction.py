@@ -169,10 +169,8 @@ class DirectionWatch:
         """Takes in a drive and its key scan; another hypothesis of it if that is clearly better."""
         c = self.stepper.config.odometry_faults
         turning = drive.leg.turning
-        if not drive.trusted:
+        if not drive.trusted or self._signed(drive):
             self.forget()
-            return None
-        if not self._window and self._signed(drive):
             return None
         suspicious = self._suspicious(step)
         if not self._window and not turning and (self.sign > 0.0 or not suspicious):
