@@ -42,7 +42,6 @@ METRICS = {
     "occupancy_agreement": ("1", "occupancy", "the model has no wall"),
     "free_agreement": ("1", "occupancy", "no area of the model has an extent"),
 }
-GROUPS = tuple(dict.fromkeys(group for _, group, _ in METRICS.values()))
 
 
 def in_order(metrics: Iterable[Metric]) -> tuple[Metric, ...]:
