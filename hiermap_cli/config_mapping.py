@@ -103,9 +103,13 @@ class DoorConfig(Section):
     """When a narrow place is a door (or an opening between areas)."""
 
     min_width: Positive = Field(0.45, description="metres between the jambs, as passed")
-    max_width: Positive = Field(1.7, description="metres between the jambs, as passed")
+    max_width: Positive = Field(
+        1.7, description="metres between the jambs; up to 0.25 m more where there is more wall"
+    )
     widening: Positive = Field(0.35, description="metres wider on either side of it")
-    reach: Positive = Field(1.0, description="metres of path on which it must widen")
+    reach: Positive = Field(
+        1.0, description="metres of path on which it must widen, or an open leaf's length"
+    )
     min_evidence: Positive = Field(
         0.75,
         description="metres of wall on the line through the jambs, less metres of opening, for "

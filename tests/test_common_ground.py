@@ -88,9 +88,9 @@ def test_what_was_seen_through_a_door_never_driven_through_is_another_place(door
     assert pairs(places, frames, across=across) == ([(0, 1)] if one else [])
 
 
-@pytest.mark.parametrize(("x", "one"), [(21.0, True), (26.0, False)])
+@pytest.mark.parametrize(("x", "one"), [(21.0, True), (26.0, True), (28.5, False)])
 def test_the_halves_of_a_long_place_are_one_if_the_robot_went_along_both(x, one):
-    """Corridors of 30 m of which less than a third is common, with 9 m or 4 m of either's path."""
+    """Corridors of 30 m, less than a third of them common: 9 m, 4 m or 1.5 m of either's path."""
     places = places_of(strip(30.0, 2.0), strip(30.0, 2.0), paths=[(0.0, 30.0), (0.0, 30.0)])
     frames = [[0.0, 0.0, 0.0], [x, 0.0, 0.0]]
     assert pairs(places, frames, across=False) == ([(0, 1)] if one else [])

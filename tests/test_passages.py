@@ -10,6 +10,7 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.logs.records import LaserGeometry, Mount, ScanBlock
 from hiermap_cli.mapping.topology.again import door_missed, door_of
 from hiermap_cli.mapping.topology.chords import narrowest_chord
+from hiermap_cli.mapping.topology.door_evidence import demanded, is_door, needed, reach_of
 from hiermap_cli.mapping.topology.near_ends import NearEnds
 from hiermap_cli.mapping.topology.passages import (
     KEPT,
@@ -18,7 +19,6 @@ from hiermap_cli.mapping.topology.passages import (
     Trace,
     aligned,
     line_evidence,
-    needed,
 )
 from hiermap_cli.perception.sight import REACH, Sight, sights
 
@@ -69,9 +69,9 @@ def straight(start=(-2.5, 0.0), heading=0.0, length=4.5, step=0.1):
     )
 
 
-def drive(poses, walls):
-    """The passages told on a way through walls."""
-    trace, detector, told = Trace(), PassageDetector(DoorConfig()), []
+def drive(poses, walls, **changed):
+    """The passages told on a way through walls; changed: of the configuration."""
+    trace, detector, told = Trace(), PassageDetector(DoorConfig(**changed)), []
     before = poses[0]
     for pose in poses:
         step = float(np.hypot(*(pose[:2] - before[:2])))
@@ -163,6 +163,33 @@ def test_who_turns_round_behind_a_door_has_not_gone_through():
 def test_a_wide_opening_needs_more_wall():
     assert needed(0.7) == needed(1.0) == 1.0
     assert needed(1.6) == 1.6
+
+
+@pytest.mark.parametrize("reach", [0.8, 1.0, 1.2])
+def test_a_leaf_that_stands_open_hides_no_door(reach):
+    """Nearly as long as the door is wide: the path widens behind it only."""
+    leaf = [[(0.1, JAMBS[0]), (0.9, JAMBS[0])]]
+    (door,), _ = drive(straight(), ROOMS + WALL + leaf, reach=reach)
+    assert is_door(door, DoorConfig(reach=reach))
+    assert door.frame[:2] == pytest.approx([0.0, 0.0], abs=0.2)
+
+
+def test_a_place_widens_within_a_leaf_at_least():
+    short, long = DoorConfig(reach=0.5), DoorConfig(reach=1.3)
+    assert reach_of(0.7, short) == pytest.approx(0.8)
+    assert reach_of(1.5, short) == pytest.approx(1.0)  # no leaf is so long
+    assert reach_of(0.7, long) == reach_of(1.5, long) == 1.3
+
+
+def test_a_doorway_wider_than_doors_has_wall_beside_it():
+    """By a fifth of a metre: between walls it is one, between furniture no narrow place at all."""
+    narrow = {"max_width": 0.75}
+    (door,), _ = drive(straight(), ROOMS + WALL, **narrow)
+    assert door.width > 0.75
+    assert is_door(door, DoorConfig(**narrow))
+    assert demanded(0.9, DoorConfig(**narrow)) > demanded(0.9, DoorConfig()) == 0.75
+    assert drive(straight(), FURNITURE, **narrow)[0] == []
+    assert drive(straight(), ROOMS + WALL, max_width=0.6)[0] == []
 
 
 def test_the_narrowest_chord_has_both_its_ends_on_what_was_seen():

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 BEYOND = 2.0  # metres of path behind a door that are no mere turn in it
 BEGAN = 0.5  # metres from an area's origin, where its path begins behind a door
 SQUARE = 0.2  # metres: ground of several areas is compared by such squares
-WAY = 5.0  # metres of either one's path on the other's ground with which two are one place
+WAY = 2.5  # metres of either one's path on the other's ground with which two are one place
 _MANY = 1 << 31
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.areas.common_ground import Bars, grounds, one_place, together
 from hiermap_cli.mapping.portals import door_frame
-from hiermap_cli.mapping.topology.passages import needed
+from hiermap_cli.mapping.topology.door_evidence import demanded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -86,7 +86,7 @@ def decide(
             case.join(p.a, p.b)
     case.refuse_rounded()
     for members in case.doors():
-        if case.evidence(members) < doors.min_evidence * needed(portals[members[0]].width):
+        if case.evidence(members) < demanded(portals[members[0]].width, doors):
             case.refuse(members, "too little wall beside it, over all crossings")
     if placed:
         _join_by_ground(case, places, frames, config, doors.max_width)

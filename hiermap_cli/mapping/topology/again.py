@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hiermap_cli.mapping.topology.chords import WIDEST, narrowest_chord
-from hiermap_cli.mapping.topology.passages import BESIDE, NEAR, SAMPLE, needed, passage_between
+from hiermap_cli.mapping.topology.door_evidence import is_door
+from hiermap_cli.mapping.topology.passages import BESIDE, NEAR, SAMPLE, passage_between
 from hiermap_cli.mapping.topology.passers import gone_over, looked, seen_through
 
 if TYPE_CHECKING:
@@ -43,11 +44,6 @@ def door_of(
 def door_missed(trace: Trace, config: DoorConfig) -> Passage | None:
     """The door that lies on the last metres of the path and that people have hidden, if any."""
     return _best_door(trace, trace.length - LATELY, trace.length, config)
-
-
-def is_door(passage: Passage, config: DoorConfig) -> bool:
-    """Whether there is wall enough beside a narrow place."""
-    return passage.evidence >= config.min_evidence * needed(passage.width)
 
 
 def _best_door(

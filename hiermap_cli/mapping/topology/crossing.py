@@ -27,6 +27,7 @@ from hiermap_cli.mapping.portals import (
     door_frame,
 )
 from hiermap_cli.mapping.topology.again import door_missed, door_of
+from hiermap_cli.mapping.topology.door_evidence import longest_reach
 from hiermap_cli.mapping.topology.looks import LookRecord
 from hiermap_cli.mapping.topology.lost import Place, Search
 from hiermap_cli.mapping.topology.passages import (
@@ -108,7 +109,7 @@ class Crossings:
         """After a key scan: the area in which the robot is from now on."""
         robot = self.area.V.robot
         self.trace.add(robot, now.distance, now.sight, now.key)
-        self.places.look(self.current, self.trace, 2.0 * self.config.doors.reach)
+        self.places.look(self.current, self.trace, 2.0 * longest_reach(self.config.doors))
         through = self._doors.gone_through(robot)
         if through is not None:
             self._reenter(now, through)

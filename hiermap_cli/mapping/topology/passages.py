@@ -19,6 +19,7 @@ import numpy as np
 
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.topology.chords import chord_frame, narrowest_chord
+from hiermap_cli.mapping.topology.door_evidence import WIDER, is_door, longest_reach, reach_of
 from hiermap_cli.mapping.topology.near_ends import NearEnds
 from hiermap_cli.mapping.topology.passers import Passers, gone_over
 
@@ -225,7 +226,7 @@ class PassageDetector:
             return
         point, heading = trace.at(s)
         recent = bisect_left(trace.travelled, s - NEAR)
-        most = self.config.max_width + self.config.widening
+        most = self.config.max_width + WIDER + self.config.widening
         ends = trace.near.since(recent)
         width, jambs = narrowest_chord(point, ends, most)
         if width < self.config.min_width or (width <= most and gone_over(jambs, trace.poses).all()):
@@ -244,16 +245,17 @@ class PassageDetector:
         c = self.config
         if len(self.at) < 8:
             return None
-        if min(self.width) > c.max_width:
+        if min(self.width) > c.max_width + WIDER:
             return None
         at, width = self.at, self.width
-        first = bisect_right(at, max(at[-1] - c.reach, self._last))
+        first = bisect_right(at, max(at[-1] - longest_reach(c), self._last))
         last = bisect_right(at, at[-1] - BESIDE)
         i = min(range(first, last), key=width.__getitem__, default=-1)
-        if i < 0 or not c.min_width <= width[i] <= c.max_width:
+        if i < 0 or not c.min_width <= width[i] <= c.max_width + WIDER:
             return None
-        before = width[bisect_left(at, at[i] - c.reach) : i]
-        after = width[i + 1 : bisect_right(at, at[i] + c.reach)]
+        reach = reach_of(width[i], c)
+        before = width[bisect_left(at, at[i] - reach) : i]
+        after = width[i + 1 : bisect_right(at, at[i] + reach)]
         near = width[bisect_left(at, at[i] - BESIDE) : bisect_right(at, at[i] + BESIDE)]
         if not before or width[i] > min(near):
             return None
@@ -263,7 +265,10 @@ class PassageDetector:
         if not _crossed(frame, self.heading[i], trace):
             return None
         self._last = at[i] + BESIDE
-        return passage_between(self.jambs[i], self.heading[i], width[i], at[i], trace)
+        found = passage_between(self.jambs[i], self.heading[i], width[i], at[i], trace)
+        if width[i] > c.max_width and (found is None or not is_door(found, c)):
+            return None
+        return found
 
 
 def passage_between(
@@ -296,15 +301,6 @@ def _came_by(frame: Array, width: float, trace: Trace, travelled: float) -> bool
     u, v, _ = se2.between(frame, np.array(trace.poses[since:until])).T
     over = np.flatnonzero((v[:-1] > 0.0) & (v[1:] <= 0.0))
     return bool(np.any(np.abs(u[over]) < 0.5 * width + ASIDE))
-
-
-def needed(width: float) -> float:
-    """Metres of wall beside the jambs, less openings, that make a door of this width.
-
-    As much as the width, and a metre beside a narrow one: two pieces of furniture that stand
-    near each other have some wall or other beside them.
-    """
-    return max(1.0, width)
 
 
 def aligned(frame: Array, width: float, origins: Array, ends: Array) -> tuple[Array, Array, Array]:
