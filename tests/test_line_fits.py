@@ -85,7 +85,8 @@ def test_the_final_fit_is_the_maximum_likelihood_one(incidence):
     fit = refine(members, refine(members, lines, laser).lines, laser)
 
     def residuals(line):
-        foretold = line[1] / (np.cos(line[0]) * beams.dx + np.sin(line[0]) * beams.dy)
+        ahead = (np.cos(line[0]) * beams.x + np.sin(line[0]) * beams.y) / beams.r
+        foretold = line[1] / ahead
         return (beams.r - foretold) / weight
 
     # The noise is that at the wall's range, not at the measured one.

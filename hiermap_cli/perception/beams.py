@@ -31,7 +31,6 @@ class Beams(NamedTuple):
     ux, uy: (beams,) unit vectors of the beams of `ScanBlock.ranges`.
     spacing: radians between columns. cyclic: the last column is followed by the first.
     cell: (N,) flat index scan * W + column, increasing. x, y, r: (N,) the points.
-    dx, dy: (N,) their beams' unit vectors.
     """
 
     ranges: Array
@@ -46,8 +45,6 @@ class Beams(NamedTuple):
     x: Array
     y: Array
     r: Array
-    dx: Array
-    dy: Array
 
     def beam(self, cell: Index) -> Index:
         """Index into the scan's own beams of flat cells, any shape."""
@@ -101,11 +98,12 @@ def arrange(block: ScanBlock, config: LaserConfig, max_range: float) -> Beams:
         first = (first + step * turned) % width
     else:
         # The same directions in every scan.
-        dx, dy = np.tile(ux[::step], len(ranges)), np.tile(uy[::step], len(ranges))
+        dx, dy = ux[::step], uy[::step]
     ranges = np.ascontiguousarray(ranges)
     cell = np.flatnonzero(np.isfinite(ranges))
-    r, dx, dy = (v.take(cell, mode="clip") for v in (ranges, dx, dy))
-    return Beams(ranges, first, step, ux, uy, spacing, cyclic, far, cell, r * dx, r * dy, r, dx, dy)
+    with np.errstate(invalid="ignore"):
+        x, y, r = (v.take(cell, mode="clip") for v in (ranges * dx, ranges * dy, ranges))
+    return Beams(ranges, first, step, ux, uy, spacing, cyclic, far, cell, x, y, r)
 
 
 def concatenated_ranges(start: Index, count: Index) -> Index:

@@ -129,7 +129,8 @@ def _residuals(beams: Beams, lines: Lines, point: Index) -> tuple[Array, Array]:
     across a wall seen steeply the noise is small.
     """
     count = point.shape[1]
-    dx, dy, r = beams.dx.take(point), beams.dy.take(point), beams.r.take(point)
+    x, y, r = beams.x.take(point), beams.y.take(point), beams.r.take(point)
+    dx, dy = x / r, y / r
     out = []
     for half in (slice(None, count), slice(count, None)):
         nx, ny, d = (v[half] for v in lines)

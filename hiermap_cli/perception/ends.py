@@ -127,15 +127,16 @@ def _extremes(
 ) -> _Extremes:
     """The extreme points (2, K) of the segments against their lines."""
     nx, ny, d = lines
-    dx, dy, r = beams.dx.take(point), beams.dy.take(point), beams.r.take(point)
-    cosine = np.maximum(nx * dx + ny * dy, GRAZING)
-    sine = nx * dy - ny * dx
+    x, y, r = beams.x.take(point), beams.y.take(point), beams.r.take(point)
+    cosine = np.maximum((nx * x + ny * y) / r, GRAZING)
+    along = nx * y - ny * x
+    sine = along / r
     row, column = np.divmod(beams.cell[point], beams.ranges.shape[1])
     sigma = laser.sigma_range + laser.sigma_range_scale * r
     return _Extremes(
         row,
         column,
-        along=r * sine,
+        along=along,
         met=d * sine / cosine,
         spacing=r * beams.spacing / cosine,
         slope=sine / cosine,

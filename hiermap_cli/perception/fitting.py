@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from hiermap_cli.perception.beams import concatenated_ranges
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -86,7 +88,7 @@ def fit_moments(sums: Array) -> tuple[Lines, Array]:
     length[length == 0.0] = 1.0
     nx, ny = ty / length, -tx / length
     d = nx * mx + ny * my
-    sign = np.where(d < 0.0, -1.0, 1.0)
+    sign = np.copysign(1.0, d)
     return Lines(sign * nx, sign * ny, sign * d), scatter
 
 
@@ -122,12 +124,13 @@ class Members(NamedTuple):
     uy: Array
     r: Array
 
-    def of(self, which: Mask) -> tuple[Members, Mask]:
+    def of(self, which: Mask) -> tuple[Members, Index]:
         """The members of the segments `which` (K,), and where they stand among these (M,)."""
-        here = self.spread(which)
         counts = self.counts[which]
-        chosen = (v[here] for v in (self.ux, self.uy, self.r))
-        return Members(self.point[here], np.cumsum(counts) - counts, counts, *chosen), here
+        here = concatenated_ranges(self.starts[which], counts)
+        ux, uy, r = (v.take(here) for v in (self.ux, self.uy, self.r))
+        starts = np.cumsum(counts) - counts
+        return Members(self.point.take(here), starts, counts, ux, uy, r), here
 
     def between(self, first: Index, last: Index) -> Mask:
         """True for points `first` to `last` (exclusive; (K,), counted as in `point`) of each."""
@@ -149,12 +152,8 @@ class Members(NamedTuple):
 
 def gather(beams: Beams, index: Index, counts: Index) -> Members:
     """The members `index` (M,) of segments with `counts` (K,) points each, none of them empty."""
-    return Members(
-        index,
-        np.cumsum(counts) - counts,
-        counts,
-        *(v.take(index, mode="clip") for v in (beams.dx, beams.dy, beams.r)),
-    )
+    x, y, r = (v.take(index, mode="clip") for v in (beams.x, beams.y, beams.r))
+    return Members(index, np.cumsum(counts) - counts, counts, x / r, y / r, r)
 
 
 class Fit(NamedTuple):
@@ -174,7 +173,7 @@ class Fit(NamedTuple):
     variance: Array
     chi2: Array
 
-    def take(self, index: Mask) -> Fit:
+    def take(self, index: Index) -> Fit:
         """The fits at `index`; residuals and variances of points are left out."""
         none = np.zeros(0)
         return Fit(

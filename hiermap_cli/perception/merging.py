@@ -49,12 +49,30 @@ class Pieces(NamedTuple):
     run_segment: Index
 
 
+class _Faces(NamedTuple):
+    """What tells at a glance whether two segments may be one: all (K,).
+
+    x0, y0, x1, y1: extreme points. extent: their squared distance. nx, ny: normal.
+    """
+
+    x0: Array
+    y0: Array
+    x1: Array
+    y1: Array
+    extent: Array
+    nx: Array
+    ny: Array
+
+    def part(self, which: slice | Index) -> _Faces:
+        """Those of the segments `which`."""
+        return _Faces(*(v[which] for v in self))
+
+
 class _State:
     """The segments while they are merged: arrays over all of them, changed in place.
 
-    scan: of each segment. scatter, nx, ny, noise: of its fit, the last across it and a point.
-    extent: squared distance between its extreme points. into: the segment it was merged into,
-    itself if none. Moments are kept by rows, (K, 6).
+    scan: of each segment. scatter, noise: of its fit, and of a point across it. into: the segment
+    it was merged into, itself if none. Moments are kept by rows, (K, 6).
     """
 
     def __init__(self, beams: Beams, pieces: Pieces, laser: LaserConfig, uneven: float) -> None:
@@ -64,8 +82,9 @@ class _State:
         self.first, self.last = pieces.first, pieces.last.copy()
         self.scan = beams.cell[pieces.first] // beams.ranges.shape[1]
         self.into = np.arange(count)
-        self.scatter, self.noise, self.extent = np.empty(count), np.empty(count), np.empty(count)
-        self.nx, self.ny = np.empty(count), np.empty(count)
+        self.scatter, self.noise = np.empty(count), np.empty(count)
+        ends = (v.take(end) for end in (self.first, self.last) for v in (beams.x, beams.y))
+        self.faces = _Faces(*ends, *(np.empty(count) for _ in range(3)))
         self.update(self.into)
 
     def update(self, k: Index) -> None:
@@ -74,20 +93,26 @@ class _State:
         The noise is the larger of what the sensor has at that incidence and what the points show,
         as far as a wall may be uneven.
         """
-        sums, first, last = self.sums.take(k, axis=0).T, self.first[k], self.last[k]
+        sums, last = self.sums.take(k, axis=0).T, self.last.take(k)
         line, scatter = fit_moments(sums)
         beams, laser = self.beams, self.laser
-        sigma = laser.sigma_range + laser.sigma_range_scale * beams.r.take(last)
-        cosine = line.nx * beams.dx.take(last) + line.ny * beams.dy.take(last)
+        faces, r = self.faces, beams.r.take(last)
+        x, y = faces.x1.take(k), faces.y1.take(k)
+        sigma = laser.sigma_range + laser.sigma_range_scale * r
+        cosine = (line.nx * x + line.ny * y) / r
         shown = np.minimum(scatter / np.maximum(sums[0] - 2.0, 1.0), self.uneven)
         self.noise[k] = np.maximum((sigma * cosine) ** 2, shown)
-        self.scatter[k], self.nx[k], self.ny[k] = scatter, line.nx, line.ny
-        self.extent[k] = _square_gap(self.beams, first, last)
+        self.scatter[k] = scatter
+        faces.nx[k], faces.ny[k] = line.nx, line.ny
+        x -= faces.x0.take(k)
+        y -= faces.y0.take(k)
+        faces.extent[k] = x * x + y * y
 
     def join(self, i: Index, j: Index) -> None:
         """Merge each segment j into i; no segment may occur twice."""
         self.sums[i] += self.sums[j]
-        self.last[i] = self.last[j]
+        for end in (self.last, self.faces.x1, self.faces.y1):
+            end[i] = end[j]
         self.into[j] = i
         self.update(i)
 
@@ -125,7 +150,7 @@ def merge(
     _merge_across(state, config)
     if beams.cyclic:
         _merge_over_seam(state, config)
-    into = _root(state.into)
+    into = _root(state.into, state.into)
     keep = (into == np.arange(len(into))) & (state.sums[:, 0] >= config.min_points)
     number = np.cumsum(keep) - 1
     kept = keep[into]
@@ -156,13 +181,15 @@ def _merge_neighbours(state: _State, joined: Index, config: SegmentationConfig) 
     count = len(state.first)
     following, preceding = np.full(count, -1), np.full(count, -1)
     following[joined], preceding[joined + 1] = joined + 1, joined
-    i = joined
+    faces = state.faces
+    likely = _likely(faces.part(slice(None, -1)), faces.part(slice(1, None)))
+    i = joined[likely[joined]]
     while len(i):
         j = following[i]
         good, cost, _ = _one_line(state, i, j, config)
-        waiting, j = i[good], j[good]
-        chosen = _without_conflicts(count, waiting, j, cost[good])
-        left, right = waiting[chosen], j[chosen]
+        waiting, j = i.take(good), j.take(good)
+        chosen = np.flatnonzero(_without_conflicts(count, waiting, j, cost.take(good)))
+        left, right = waiting.take(chosen), j.take(chosen)
         if not len(left):
             break
         state.join(left, right)
@@ -174,6 +201,7 @@ def _merge_neighbours(state: _State, joined: Index, config: SegmentationConfig) 
         again[left] = again[preceding[left]] = again[waiting] = True
         again &= (following >= 0) & (state.into == np.arange(count))
         i = np.flatnonzero(again)
+        i, _ = _likely_pairs(state, i, following[i])
 
 
 def _without_conflicts(count: int, i: Index, j: Index, cost: Array) -> Mask:
@@ -194,10 +222,17 @@ def _merge_across(state: _State, config: SegmentationConfig) -> None:
     Between them are small pieces, or something that stands before the wall.
     """
     alive = state.alive(config.min_points)
-    i = np.concatenate([alive[:-k] for k in range(1, ACROSS + 1)])
-    j = np.concatenate([alive[k:] for k in range(1, ACROSS + 1)])
-    some = (state.scan[i] == state.scan[j]) & (state.last[i] + 1 < state.first[j])
-    i, j = i[some], j[some]
+    faces = state.faces.part(alive)
+    scan, first, last = state.scan[alive], state.first[alive], state.last[alive]
+    pairs = []
+    # Each with the one so many places farther on, by slices: what is known of them is looked up
+    # once a segment, not once a pair.
+    for k in range(1, ACROSS + 1):
+        likely = _likely(faces.part(slice(None, -k)), faces.part(slice(k, None)))
+        likely &= (scan[:-k] == scan[k:]) & (last[:-k] + 1 < first[k:])
+        at = np.flatnonzero(likely)
+        pairs.append(alive[np.stack((at, at + k))])
+    i, j = np.concatenate(pairs, axis=1)
     good, cost = _mergeable(state, i, j, config)
     i, j = i[good], j[good]
     while len(i):
@@ -206,9 +241,9 @@ def _merge_across(state: _State, config: SegmentationConfig) -> None:
             break
         state.join(i[chosen], j[chosen])
         # What was merged on may be merged again, with what comes after.
-        i, j = _root(state.into)[i[~chosen]], j[~chosen]
+        i, j = _root(state.into, i[~chosen]), j[~chosen]
         some = (state.into[j] == j) & (state.last[i] < state.first[j])
-        i, j = i[some], j[some]
+        i, j = _likely_pairs(state, i[some], j[some])
         good, cost = _mergeable(state, i, j, config)
         i, j = i[good], j[good]
 
@@ -220,15 +255,16 @@ def _merge_over_seam(state: _State, config: SegmentationConfig) -> None:
     closing = np.append(opening[1:], len(alive)) - 1
     several = closing > opening
     opening, closing = alive[opening[several]], alive[closing[several]]
+    closing, opening = _likely_pairs(state, closing, opening)
     good, _ = _mergeable(state, closing, opening, config)
     state.join(closing[good], opening[good])
 
 
-def _root(into: Index) -> Index:
-    """The segment that each was merged into in the end."""
-    while not np.array_equal(into, into[into]):
-        into = into[into]
-    return into
+def _root(into: Index, k: Index) -> Index:
+    """The segments that the segments k were merged into in the end."""
+    while not np.array_equal(k, above := into.take(k)):
+        k = above
+    return k
 
 
 def _square_gap(beams: Beams, last: Index, first: Index) -> Array:
@@ -239,19 +275,37 @@ def _square_gap(beams: Beams, last: Index, first: Index) -> Array:
     return x * x + y * y
 
 
-def _mergeable(state: _State, i: Index, j: Index, config: SegmentationConfig) -> tuple[Mask, Array]:
-    """Whether one line holds segments i and j, and nothing between denies it; and the cost."""
+def _mergeable(
+    state: _State, i: Index, j: Index, config: SegmentationConfig
+) -> tuple[Index, Array]:
+    """Which of the likely pairs one line holds and nothing between denies it; and all costs."""
     good, cost, sums = _one_line(state, i, j, config)
-    some = np.flatnonzero(good)
-    last, first = state.last[i[some]], state.first[j[some]]
-    good[some] = _gap_allows(state, last, first, sums, config)
-    return good, cost
+    last, first = state.last.take(i.take(good)), state.first.take(j.take(good))
+    return good[_gap_allows(state, last, first, sums, config)], cost
+
+
+def _likely(a: _Faces, b: _Faces) -> Mask:
+    """Whether segments a and b may be one wall: (K,).
+
+    Two small heaps far apart are no line, although one always goes through both; and what is
+    long enough to have a direction must share it.
+    """
+    x, y = b.x0 - a.x1, b.y0 - a.y1
+    likely = x * x + y * y <= np.maximum(a.extent, b.extent)
+    likely &= (a.nx * b.nx + a.ny * b.ny > ALIKE) | (np.minimum(a.extent, b.extent) < SHORT**2)
+    return np.asarray(likely)
+
+
+def _likely_pairs(state: _State, i: Index, j: Index) -> tuple[Index, Index]:
+    """Those of the pairs of segments i and j that may be one wall."""
+    likely = np.flatnonzero(_likely(state.faces.part(i), state.faces.part(j)))
+    return i.take(likely), j.take(likely)
 
 
 def _one_line(
     state: _State, i: Index, j: Index, config: SegmentationConfig
-) -> tuple[Mask, Array, Array]:
-    """Whether one line holds segments i and j, the cost, and the moments of those it does.
+) -> tuple[Index, Array, Array]:
+    """Which of the likely pairs one line holds, all costs, and the moments of those it does.
 
     What a common line costs, the growth of the scatter, is the noise's variance times a chi-square
     of two degrees of freedom when both are one line, or a little more as runs are split where they
@@ -259,14 +313,6 @@ def _one_line(
     by half of `split_floor` at its end, which is a third of that squared a point; but all points
     together must still make a line.
     """
-    good, cost = np.zeros(len(i), dtype=bool), np.full(len(i), np.inf)
-    # Two small heaps far apart are no line, although one always goes through both; and what is
-    # long enough to have a direction must share it.
-    extents = state.extent.take(i), state.extent.take(j)
-    near = _square_gap(state.beams, state.last.take(i), state.first.take(j)) <= np.maximum(*extents)
-    alike = state.nx.take(i) * state.nx.take(j) + state.ny.take(i) * state.ny.take(j) > ALIKE
-    some = np.flatnonzero(near & (alike | (np.minimum(*extents) < SHORT**2)))
-    i, j = i[some], j[some]
     both = (state.sums.take(i, axis=0) + state.sums.take(j, axis=0)).T
     n_i = state.sums[:, 0].take(i)
     n_j = both[0] - n_i
@@ -279,9 +325,8 @@ def _one_line(
     price = (scatter - state.scatter.take(i) - state.scatter.take(j)) / bends
     freedom = both[0] - 2.0
     most = freedom + config.split_sigmas * np.sqrt(2.0 * freedom)
-    fine = np.flatnonzero((price < 1.0) & (scatter < most * (state.uneven + noise)))
-    good[some[fine]], cost[some] = True, price
-    return good, cost, both[:, fine]
+    good = np.flatnonzero((price < 1.0) & (scatter < most * (state.uneven + noise)))
+    return good, price, both.take(good, axis=1)
 
 
 def _gap_allows(

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     Mask = NDArray[np.bool_]
 
 NOISELESS = 2e-5  # metres of noise below which ranges come from no real sensor
+LASTING = 0.8  # of `min_length`: what is shorter gets no longer by losing points at its ends
 
 # glibc gives freed arrays of more than 128 kB back to the system, and every new one then costs its
 # page faults: half of all the time here. A large block freed once, never touched, raises that
@@ -69,11 +70,11 @@ def segment_block(block: ScanBlock, laser: LaserConfig, config: SegmentationConf
     lines, dropped = inner_lines(members, noise)
     first, last = members.starts + dropped[:, 0], members.starts + members.counts - dropped[:, 1]
     fit = _final_fit(members, lines, first, last, laser, config)
-    whole = last - first >= config.min_points
-    begin, end = members.point[first[whole]], members.point[last[whole] - 1]
-    return _describe(
-        beams, fit.take(whole), begin, end, (last - first)[whole], block.mount, noise, floors
-    )
+    begin, end = members.point[first], members.point[last - 1]
+    long = _square_lengths(beams, begin, end) >= config.min_length**2
+    whole = np.flatnonzero(long & (last - first >= config.min_points))
+    begin, end, counts = begin[whole], end[whole], (last - first)[whole]
+    return _describe(beams, fit.take(whole), begin, end, counts, block.mount, noise, floors)
 
 
 def _members(
@@ -83,7 +84,10 @@ def _members(
     laser: LaserConfig,
     config: SegmentationConfig,
 ) -> Members:
-    """The points of each segment: corners shared out, and single ones gained."""
+    """The points of each segment: corners shared out, and single ones gained.
+
+    Half of all pieces are too short to be segments: what follows is not done for them.
+    """
     first, last = place_boundaries(beams, breaks, pieces, laser, config)
     if beams.cyclic:
         first, last = clear_seam(beams, pieces, first, last)
@@ -98,13 +102,24 @@ def _members(
     last[:-1] -= parted & (last[:-1] - first[:-1] > 2)
     first[1:] += parted & (last[1:] - first[1:] > 2)
     run_counts = np.maximum(last - first + 1, 0)
-    counts = np.bincount(owner, run_counts, minlength=len(pieces.first)).astype(np.int64)
-    enough = counts >= config.min_points
-    kept = enough[owner] & (run_counts > 0)
-    number = np.cumsum(enough) - 1
-    first, last, owner = first[kept], last[kept], number[owner[kept]]
-    counts = counts[enough]
-    return gather(beams, concatenated_ranges(first, last - first + 1), counts)
+    # The runs of each segment, and its points.
+    closing = np.flatnonzero(np.append(owner[1:] != owner[:-1], True))
+    opening = np.append(0, closing[:-1] + 1)
+    counts = np.add.reduceat(run_counts, opening)
+    least = (LASTING * config.min_length) ** 2
+    long = _square_lengths(beams, first[opening], last[closing]) >= least
+    chosen = np.flatnonzero(long & (counts >= config.min_points))
+    runs = concatenated_ranges(opening[chosen], (closing - opening + 1)[chosen])
+    points = concatenated_ranges(first[runs], run_counts[runs])
+    return gather(beams, points, counts[chosen])
+
+
+def _square_lengths(beams: Beams, first: Index, last: Index) -> Array:
+    """Squared distances between points `first` and `last`, (K,)."""
+    x, y = beams.x.take(last), beams.y.take(last)
+    x -= beams.x.take(first)
+    y -= beams.y.take(first)
+    return x * x + y * y
 
 
 def _final_fit(
@@ -161,10 +176,7 @@ def _describe(
     laser: LaserConfig,
     config: SegmentationConfig,
 ) -> SegmentBlock:
-    """Segments that are long enough, with their ends, in the robot's frame."""
-    extent = (beams.x[end] - beams.x[begin]) ** 2 + (beams.y[end] - beams.y[begin]) ** 2
-    good = extent >= config.min_length**2
-    begin, end, fit, counts = begin[good], end[good], fit.take(good), counts[good]
+    """The segments with their ends, in the robot's frame."""
     lines = fit.lines
     ends = describe_ends(beams, begin, end, fit, laser, config)
     origin = np.array([mount.x, mount.y])

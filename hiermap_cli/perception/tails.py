@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiermap_cli.perception.fitting import fit_moments, inner_moments
+from hiermap_cli.perception.fitting import few_moments, fit_moments, run_moments
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -91,11 +91,12 @@ def _on_line(
     between = np.abs(cell[1:] - cell[:-1]) - 1
     fits = (between >= 0) & (between <= config.max_gap_beams)
     fits &= cell[1:] // width == cell[0] // width
-    sigma = laser.sigma_range + laser.sigma_range_scale * beams.r.take(near)
+    r = beams.r.take(near)
+    sigma = laser.sigma_range + laser.sigma_range_scale * r
     nx, ny, d = lines
-    off = np.abs(nx * beams.x.take(near) + ny * beams.y.take(near) - d)
-    cosine = nx * beams.dx.take(near) + ny * beams.dy.take(near)
-    fits &= off <= np.maximum(0.5 * config.split_floor, config.split_sigmas * sigma * cosine)
+    depth = nx * beams.x.take(near) + ny * beams.y.take(near)
+    noise = config.split_sigmas * sigma * depth / r
+    fits &= np.abs(depth - d) <= np.maximum(0.5 * config.split_floor, noise)
     return np.asarray(fits)
 
 
@@ -113,11 +114,12 @@ def inner_lines(members: Members, laser: LaserConfig) -> tuple[Lines, Index]:
     asked = np.concatenate((step < tail, step < tail))
     place = np.concatenate((starts + tail - 1 - step, starts + counts - tail + step))
     place = np.where(asked, place, starts)
-    x, y = members.r * members.ux, members.r * members.uy
-    sums = inner_moments(x, y, starts + tail, starts + counts - tail - 1)
-    lines, scatter = fit_moments(sums)
     ux, uy, r = members.ux.take(place), members.uy.take(place), members.r.take(place)
     x, y = r * ux, r * uy
+    # All points without the tails': half as many runs to sum as tails and inner points apart.
+    sums = run_moments(members.r * members.ux, members.r * members.uy, starts)
+    sums -= few_moments(x, y, asked)
+    lines, scatter = fit_moments(sums)
     n = sums[0]
     mx, my = sums[1] / n, sums[2] / n
     extent = sums[3] + sums[5] - n * (mx * mx + my * my) - scatter
