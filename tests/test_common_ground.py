@@ -8,7 +8,7 @@ from test_portals import ACROSS, fresh, strip
 
 from hiermap_cli.config import AreaConfig, DoorConfig
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.areas.common_ground import Bars, grounds, one_place, together
+from hiermap_cli.mapping.areas.common_ground import Bars, Open, grounds, one_place, together
 from hiermap_cli.mapping.areas.extents import extents
 from hiermap_cli.mapping.areas.rooms import Rooms, decide
 from hiermap_cli.mapping.portals import Portal, add_anchor
@@ -34,7 +34,8 @@ def pairs(places, frames, bars=NO_BARS, *, across=True):
     ground, sure = (grounds(places, frames, bars, w) for w in (0.8, DoorConfig().max_width))
     n = len(frames)
     driven = {(a, b) for a in range(n) for b in range(a + 1, n)} if across else set()
-    return one_place(ground, sure, driven, 0.5)
+    is_open = Open(places, frames, bars, DoorConfig().max_width)
+    return one_place(ground, sure, driven, 0.5, is_open)
 
 
 @pytest.mark.parametrize(
@@ -63,6 +64,21 @@ def test_what_lies_behind_a_door_is_not_common():
     door = np.array([[4.0, 0.0, -0.5 * np.pi]])
     assert pairs(places, frames, Bars(door, np.array([3.0]))) == []
     assert pairs(places, frames, Bars(door, np.array([0.9]))) == [(0, 1)]  # a way round it
+
+
+def test_who_stands_in_a_corridor_does_not_part_it():
+    """Each half was seen from its own end, as far as those who stood in the middle let it."""
+    halves = [strip(8.0), strip(8.0)]
+    for grid, x in zip(halves, (5.0, 3.0), strict=True):
+        i = round(10 * x) - grid.first[0]
+        middle = grid.passed.shape[1] // 2
+        grid.passed[i : i + 6, middle - 3 : middle + 3] = 0  # one who leaves 1.1 m on either side
+        grid.passed[:, [0, -1]] = 0  # walls
+    places = places_of(*halves, paths=[(0.5, 3.5), (6.0, 7.5)])
+    frames = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    assert pairs(places, frames, across=False) == [(0, 1)]
+    door = Bars(np.array([[4.0, 0.0, -0.5 * np.pi]]), np.array([3.0]))
+    assert pairs(places, frames, door, across=False) == []
 
 
 def two_rooms(door):

@@ -8,7 +8,7 @@ import pytest
 from hiermap_cli.config import DoorConfig, LaserConfig
 from hiermap_cli.geometry import se2
 from hiermap_cli.logs.records import LaserGeometry, Mount, ScanBlock
-from hiermap_cli.mapping.topology.again import door_missed, door_of
+from hiermap_cli.mapping.topology.again import door_hidden, door_missed, door_of
 from hiermap_cli.mapping.topology.chords import narrowest_chord
 from hiermap_cli.mapping.topology.door_evidence import demanded, is_door, needed, reach_of
 from hiermap_cli.mapping.topology.near_ends import NearEnds
@@ -113,10 +113,19 @@ def drive_past_someone(walls, person, until):
 
     Returns the passages, the doors that they are, and the trace at the end.
     """
-    trace, detector, told, doors = Trace(), PassageDetector(DoorConfig()), [], []
+    told, doors, _, trace = drive_among(lambda s: walls + person if s < until else walls)
+    return told, doors, trace
+
+
+def drive_among(walls_at):
+    """As `drive`, where what stands about depends on the metres of path.
+
+    Returns the passages, the doors that they are, those that were hidden, and the trace.
+    """
+    trace, detector, told, doors, hidden = Trace(), PassageDetector(DoorConfig()), [], [], []
     before = None
     for k, pose in enumerate(straight()):
-        here = walls + person if 0.1 * k < until else walls
+        here = walls_at(0.1 * k)
         step = 0.0 if before is None else float(np.hypot(*(pose[:2] - before[:2])))
         trace.add(pose, step, look(pose, here, fov=2 * np.pi, beams=360))
         passage = detector.passed(trace)
@@ -124,8 +133,10 @@ def drive_past_someone(walls, person, until):
             told.append(passage)
             door = door_of(passage, detector, trace, DoorConfig())
             doors += [] if door is None else [door]
+        door = door_hidden(detector, trace, DoorConfig())
+        hidden += [] if door is None else [door]
         before = pose
-    return told, doors, trace
+    return told, doors, hidden, trace
 
 
 def test_a_door_is_found_though_someone_stood_in_it_until_the_robot_came():
@@ -139,6 +150,38 @@ def test_a_door_is_found_though_someone_stood_in_it_until_the_robot_came():
         assert door.frame[:2] == pytest.approx([0.0, 0.0], abs=0.2)
         assert door.width == pytest.approx(0.9, abs=0.12)
         assert door.evidence > 2.0
+
+
+STANDING = box(0.6, 0.7, 1.0, 0.3) + box(0.6, -0.7, 1.0, 0.3)  # on both sides behind the door
+
+
+@pytest.mark.parametrize("until", [2.6, 2.9])
+def test_a_door_is_found_though_people_made_the_way_behind_it_as_narrow(until):
+    told, doors, hidden, _ = drive_among(lambda s: ROOMS + WALL + (STANDING if s < until else []))
+    assert told == doors == []
+    (door,) = hidden
+    assert door.frame[:2] == pytest.approx([0.0, 0.0], abs=0.2)
+    assert door.width == pytest.approx(0.9, abs=0.12)
+
+
+@pytest.mark.parametrize("until", [2.6, 9.0])
+def test_a_wall_and_someone_who_leaves_are_no_door(until):
+    half = OUTSIDE + box(-0.1, 0.45, 0.2, 2.55)
+    someone = box(-0.2, -1.1, 0.4, 0.65)
+    told, doors, _ = drive_past_someone(half, someone, until)
+    (narrow,) = told
+    assert narrow.evidence > DoorConfig().min_evidence * needed(narrow.width)
+    assert doors == ([] if until < 9.0 else [narrow])  # who stays is furniture
+
+
+@pytest.mark.parametrize("walls", [FURNITURE, ROOMS + WALL + STANDING])
+def test_what_stays_hides_no_door(walls):
+    assert drive_among(lambda _: walls)[2] == []
+
+
+def test_a_gap_in_furniture_is_no_door_because_people_left():
+    _, doors, hidden, _ = drive_among(lambda s: FURNITURE + (STANDING if s < 2.6 else []))
+    assert doors == hidden == []
 
 
 def test_furniture_is_not_asked_for_twice():

@@ -37,7 +37,8 @@ def told(scans, passers, near):
     for x, people in scans:
         ends = scan(x, people)
         here = ends[np.hypot(ends[:, 0] - x, ends[:, 1]) < 3.0]
-        near.append(passers.persisting(np.array([x, 0.0]), ends, here, near))
+        points, _ = passers.persisting(np.array([x, 0.0]), ends, here, near)
+        near.append(points)
 
 
 @pytest.mark.parametrize("scans", [
@@ -73,9 +74,29 @@ def test_areas_change_their_frames_and_what_is_told_does_not():
     here = ends[np.hypot(ends[:, 0] - 0.3, ends[:, 1]) < 3.0]
     turn = se2.rotation(R[2]).T
     origin = R[:2] + np.array([0.3, 0.0]) @ turn
-    turned.append(passers.persisting(origin, R[:2] + ends @ turn, R[:2] + here @ turn, turned))
+    points, _ = passers.persisting(origin, R[:2] + ends @ turn, R[:2] + here @ turn, turned)
+    turned.append(points)
     kept = [near.since(0)[np.abs(near.since(0)).max(axis=1) < 100.0] for near in (straight, turned)]
     np.testing.assert_allclose(R[:2] + kept[0] @ turn, kept[1], atol=1e-9)
+
+
+def test_it_is_told_how_much_came_and_went():
+    def metres(*scans):
+        near, passers, out = NearEnds(), Passers(), []
+        for x, people in scans:
+            ends = scan(x, people)
+            here = ends[np.hypot(ends[:, 0] - x, ends[:, 1]) < 3.0]
+            points, look = passers.persisting(np.array([x, 0.0]), ends, here, near)
+            near.append(points)
+            out.append(look.gone)
+        return out
+
+    here, there = [(1.8, 0.6)], [(1.8, -0.6)]
+    assert metres((0.0, here), (0.3, here), (0.6, here)) == [0.0, 0.0, 0.0]
+    _, left, _ = metres((0.0, here), (0.3, []), (0.6, []))
+    assert left == pytest.approx(np.pi * PERSON, abs=0.4)  # the half of him that was seen
+    _, moved, _ = metres((0.0, here), (0.3, there), (0.6, there))
+    assert moved > 1.5 * left
 
 
 def test_a_scan_says_nothing_where_it_has_no_beams():

@@ -21,7 +21,7 @@ from hiermap_cli.mapping.topology.freespace import CELL
 from hiermap_cli.mapping.topology.places import BESIDE
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -136,8 +136,34 @@ def together(ground: Sequence[Ground]) -> float:
     return sum(one.size for one in ground) * once / every
 
 
+class Open:
+    """Whether two areas are parted by nothing as narrow as a door, by what both have seen.
+
+    Who stands in the way hides from one of them what the other one sees.
+    """
+
+    def __init__(self, places: Places, frames: Array, bars: Bars, widest_door: float) -> None:
+        self._places, self._frames = places, frames
+        self._bars, self._widest_door = bars, widest_door
+
+    def __call__(self, a: int, b: int) -> bool:
+        """Whether most of either one's path lies in one piece of their free space together."""
+        grids, R_a_b = self._places.grids, se2.between(self._frames[a], self._frames[b])
+        grid = grids[a].joined(grids[b].moved(R_a_b))
+        theirs = self._places.path(b)
+        theirs = se2.compose(R_a_b, np.column_stack((theirs, np.zeros(len(theirs)))))[:, :2]
+        ways = (self._places.path(a), theirs)
+        bars = self._bars.within(self._frames[a], grid.bounds())
+        region = grid.region(np.concatenate(ways), bars, self._widest_door)
+        return all(2 * np.count_nonzero(region.inside(way)) > len(way) for way in ways)
+
+
 def one_place(
-    ground: Sequence[Ground], sure: Sequence[Ground], across: set[tuple[int, int]], share: float
+    ground: Sequence[Ground],
+    sure: Sequence[Ground],
+    across: set[tuple[int, int]],
+    share: float,
+    is_open: Callable[[int, int], bool],
 ) -> list[tuple[int, int]]:
     """Pairs (a, b), a < b, of areas that have more than a share of their ground in common.
 
@@ -149,6 +175,7 @@ def one_place(
         sure: of every area, within all openings as wide as a door.
         across: pairs (a, b), a < b, of which the robot drove from one into the other.
         share: of the ground.
+        is_open: whether nothing as narrow as a door lies between two areas.
     """
     low, high = _bounds(ground)
     pairs: list[tuple[int, int]] = []
@@ -157,7 +184,11 @@ def one_place(
         meet[: a + 1] = False
         for b in np.flatnonzero(meet).tolist():
             seen = (one, ground[b]) if (a, b) in across else (sure[a], sure[b])
-            if _alike(*seen) > share or _way_in_common(sure[a], sure[b]) > WAY:
+            if (
+                _alike(*seen) > share
+                or _way_in_common(sure[a], sure[b]) > WAY
+                or (_alike(one, ground[b]) > share and is_open(a, b))
+            ):
                 pairs.append((a, b))
     return pairs
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.areas.common_ground import Bars, grounds, one_place, together
+from hiermap_cli.mapping.areas.common_ground import Bars, Open, grounds, one_place, together
 from hiermap_cli.mapping.portals import door_frame
 from hiermap_cli.mapping.topology.door_evidence import demanded
 
@@ -118,7 +118,8 @@ def _join_by_ground(
         ways = len(case.candidates)
         ground = grounds(places, frames, case.bars(), config.opening)
         sure = grounds(places, frames, case.bars(), widest_door)
-        for a, b in one_place(ground, sure, across, config.one_place):
+        is_open = Open(places, frames, case.bars(), widest_door)
+        for a, b in one_place(ground, sure, across, config.one_place, is_open):
             case.join(a, b)
         case.refuse_rounded()
 

@@ -26,7 +26,7 @@ from hiermap_cli.mapping.portals import (
     anchor_index,
     door_frame,
 )
-from hiermap_cli.mapping.topology.again import door_missed, door_of
+from hiermap_cli.mapping.topology.again import door_hidden, door_missed, door_of
 from hiermap_cli.mapping.topology.door_evidence import longest_reach
 from hiermap_cli.mapping.topology.looks import LookRecord
 from hiermap_cli.mapping.topology.lost import Place, Search
@@ -121,6 +121,10 @@ class Crossings:
                 self._enter_new(now, "door", door)
                 return self.current
             self._event(now, "door_refused", area=self._name(), **_figures(passage))
+        hidden = door_hidden(self._detector, self.trace, self.config.doors)
+        if hidden is not None and not self._doors.leads_out(hidden.frame):
+            self._enter_new(now, "door", hidden)
+            return self.current
         known = self._recognise(now)
         if known is not None:
             kind = self._link(known)
@@ -390,8 +394,5 @@ class Crossings:
 
 
 def _figures(passage: Passage) -> dict[str, object]:
-    return {
-        "width": passage.width,
-        "wall": passage.wall.tolist(),
-        "open": passage.open.tolist(),
-    }
+    wall, opened = passage.wall.tolist(), passage.open.tolist()
+    return {"width": passage.width, "wall": wall, "open": opened}

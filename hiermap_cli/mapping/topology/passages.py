@@ -21,12 +21,13 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.topology.chords import chord_frame, narrowest_chord
 from hiermap_cli.mapping.topology.door_evidence import WIDER, is_door, longest_reach, reach_of
 from hiermap_cli.mapping.topology.near_ends import NearEnds
-from hiermap_cli.mapping.topology.passers import Passers, gone_over
+from hiermap_cli.mapping.topology.passers import Passers, gone_over, moved
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import DoorConfig
+    from hiermap_cli.mapping.topology.passers import Look
     from hiermap_cli.perception.sight import Sight
 
     Array = NDArray[np.float64]
@@ -77,7 +78,8 @@ class Passage(NamedTuple):
 class Trace:
     """The last metres of the path and what was seen from there, in the frame of the area.
 
-    keys, sights: the key scans, and what they saw in the robot's own frame.
+    keys, sights: the key scans, and what they saw in the robot's own frame. looks: where they
+    looked through, of those whose ends tell the width of the path.
     """
 
     travelled: list[float] = field(default_factory=list)
@@ -88,6 +90,7 @@ class Trace:
     keys: list[int] = field(default_factory=list)
     sights: list[Sight] = field(default_factory=list)
     near: NearEnds = field(default_factory=NearEnds)
+    looks: list[tuple[Look, ...]] = field(default_factory=list)
     length: float = 0.0
     fresh: int = 0  # of the last scans: not yet taken by `older`
     entered: float = 0.0  # metres of path at which it came into the present area
@@ -114,7 +117,9 @@ class Trace:
         self.ends.append(ends)
         self.keys.append(key)
         self.sights.append(sight)
-        self.near.append(self._near(origin, ends, turn_so_far))
+        near, looks = self._near(origin, ends, turn_so_far)
+        self.near.append(near)
+        self.looks.append(looks)
         self.fresh += 1
         old = 0
         while self.travelled[old] < self.length - KEPT or len(self.poses) - old > MOST:
@@ -124,15 +129,16 @@ class Trace:
                 del kept[:old]
             self.fresh = min(self.fresh, len(self.poses))
 
-    def _near(self, origin: Array, ends: Array, turned: float) -> Array:
+    def _near(self, origin: Array, ends: Array, turned: float) -> tuple[Array, tuple[Look, ...]]:
         """Ends near enough to tell the width of the path, of a scan that has some new to tell."""
         moved = self.length - self._told[0] + abs(turned - self._told[1])
         if moved < NEAR_APART:
-            return ends[:0]
+            return ends[:0], ()
         self._told = (self.length, turned)
         d = ends - origin
         near = ends[d[:, 0] ** 2 + d[:, 1] ** 2 < NEAR * NEAR]
-        return self._passers.persisting(origin, ends, near, self.near)
+        points, look = self._passers.persisting(origin, ends, near, self.near)
+        return points, (look,)
 
     def older(self, behind: float) -> list[int]:
         """Scans taken more than `behind` metres of path ago; each is told once."""
@@ -151,6 +157,7 @@ class Trace:
         for kept in (self.origins, self.ends):
             kept[:] = [R_b_a[:2] + points @ turn for points in kept]
         self.near.move(R_b_a)
+        self.looks = [tuple(moved(looks, R_b_a)) for looks in self.looks]
         self._passers.move(R_b_a)
 
     def drop(self, after: float) -> None:
@@ -165,7 +172,7 @@ class Trace:
         """All that is kept for each scan."""
         return (
             self.travelled, self.turned, self.poses, self.origins, self.ends, self.keys,
-            self.sights, self.near,
+            self.sights, self.near, self.looks,
         )  # fmt: skip
 
     def at(self, s: float) -> tuple[Array, Array]:
@@ -193,6 +200,7 @@ class PassageDetector:
     width: list[float] = field(default_factory=list)
     jambs: list[Array] = field(default_factory=list)
     heading: list[Array] = field(default_factory=list)
+    asked: float = 0.0  # metres of path up to which doors that people hid have been asked for
     _next: float = SAMPLE
     _last: float = 0.0
 

@@ -37,7 +37,8 @@ class Look(NamedTuple):
 
     past: (n + 1,) how far a place between two beams (by the number of beams before it) is seen
     past by all eight about it, zero where it is not. points: (m, 2) the ends of beams that are
-    compared, and `at`: where they lie in `NearEnds`.
+    compared, and `at`: where they lie in `NearEnds`. gone: metres of what stands about the robot
+    that were there in one of the scans before and are not in this one, or the other way round.
     """
 
     origin: Array
@@ -46,6 +47,7 @@ class Look(NamedTuple):
     past: Array
     points: Array
     at: int
+    gone: float = 0.0
 
 
 def looked(origin: Array, ends: Array, points: Array, at: int = 0) -> Look:
@@ -78,10 +80,32 @@ def seen_through(look: Look, points: Array) -> Mask:
     return np.asarray(far * far > x * x + y * y)
 
 
+def surface(look: Look, points: Array) -> float:
+    """Metres that the beams of a scan cover where they end at these points (n, 2)."""
+    step = (look.bearing[-1] - look.bearing[0]) / (len(look.bearing) - 1)
+    return float(step * np.hypot(*(points - look.origin).T).sum())
+
+
+def moved(looks: Sequence[Look], R_b_a: Array) -> list[Look]:
+    """Scans in another frame, from which the present one is seen as `R_b_a` (3,)."""
+    turn = se2.rotation(R_b_a[2]).T
+    return [
+        look._replace(
+            origin=R_b_a[:2] + look.origin @ turn,
+            points=R_b_a[:2] + look.points @ turn,
+            heading=look.heading + float(R_b_a[2]),
+        )
+        for look in looks
+    ]
+
+
 def gone_over(points: Array, path: Sequence[Array]) -> Mask:
     """Which of the points (n, 2) are so near the path's poses that the robot went over them."""
-    far = points[:, None] - np.array(path)[:, :2]
-    return np.asarray(((far * far).sum(axis=2) < OVER * OVER).any(axis=1))
+    way = np.array(path)[:, :2]
+    middle = way.mean(axis=0)
+    points, way = points - middle, way - middle
+    far2 = (way * way).sum(axis=1) - 2.0 * (points @ way.T)
+    return np.asarray(far2.min(axis=1) + (points * points).sum(axis=1) < OVER * OVER)
 
 
 @dataclass(slots=True)
@@ -90,23 +114,27 @@ class Passers:
 
     _looks: list[Look] = field(default_factory=list)
 
-    def persisting(self, origin: Array, ends: Array, points: Array, near: NearEnds) -> Array:
-        """Those of a scan's `points` that no scan before has seen through.
+    def persisting(
+        self, origin: Array, ends: Array, points: Array, near: NearEnds
+    ) -> tuple[Array, Look]:
+        """Those of a scan's `points` that no scan before has seen through, and the scan itself.
 
         Points of the scans before, told to `near` at last, that are now seen through are taken
         out of it. Of scans that told none, none is asked.
         """
         now = looked(origin, ends, points, near.position())
-        gone = np.zeros(len(points), dtype=bool)
+        gone, metres = np.zeros(len(points), dtype=bool), 0.0
         for look in self._looks:
             gone |= seen_through(look, points)
             passed = seen_through(now, look.points)
             if passed.any():
                 near.blank(look.at, passed)
+                metres += surface(look, look.points[passed])
         if gone.any():
+            metres += surface(now, points[gone])
             points = points[~gone]
         self._looks = [*self._looks, now._replace(points=points)][-SCANS:]
-        return points
+        return points, now._replace(points=points[:0], gone=metres)
 
     def forget(self) -> None:
         """The scans before are told no more."""
@@ -114,10 +142,4 @@ class Passers:
 
     def move(self, R_b_a: Array) -> None:
         """Into another frame, from which the present one is seen as `R_b_a` (3,)."""
-        turn = se2.rotation(R_b_a[2]).T
-        moved = []
-        for look in self._looks:
-            origin, points = R_b_a[:2] + look.origin @ turn, R_b_a[:2] + look.points @ turn
-            heading = look.heading + float(R_b_a[2])
-            moved.append(look._replace(origin=origin, points=points, heading=heading))
-        self._looks = moved
+        self._looks = moved(self._looks, R_b_a)
