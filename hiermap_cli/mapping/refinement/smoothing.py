@@ -18,6 +18,7 @@ from hiermap_cli.mapping.refinement.problem import (
     stepped,
     wall_terms,
 )
+from hiermap_cli.mapping.refinement.unevenness import with_common
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -166,7 +167,8 @@ def smooth(
             break
         terms = _terms(state, keyscans, noise, matched, config, factor)
         frame = frame or structure(where, terms)
-        solved = factorise(assemble(where, frame, terms, state, config), frame.plan, where.size)
+        given = _believed(terms, state, keyscans, noise, matched, config) if final else terms
+        solved = factorise(assemble(where, frame, given, state, config), frame.plan, where.size)
         if final:
             break
         x = solved.solve()
@@ -175,6 +177,20 @@ def smooth(
         converged = np.abs(x[: where.parameters]).max(initial=0.0) < config.refine.converged
     assert frame is not None
     return Solution(state, frame, solved, terms)
+
+
+def _believed(
+    terms: tuple[Terms, Terms, Terms],
+    state: State,
+    keyscans: KeyScans,
+    noise: Noise,
+    matched: Matched,
+    config: Config,
+) -> tuple[Terms, Terms, Terms]:
+    """The terms as they bear on the covariance: with what sights of one piece have in common."""
+    odometry, walls, ends = terms
+    s, gate = keyscans.segments, config.refine.gate_wall
+    return odometry, with_common(walls, state, s, noise, matched, gate), ends
 
 
 def _terms(
