@@ -13,6 +13,7 @@ been about. As this is a second chance, more wall is wanted beside such a door.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -115,16 +116,25 @@ def _best_door(
     """
     at, points, ends = around
     reach, first = config.reach, max(first, trace.entered)
-    chords = [narrowest_chord(p, ends, config.max_width + config.widening) for p, _ in points]
-    width = [chord for chord, _ in chords]
+
+    @cache
+    def chord(i: int) -> tuple[float, Array]:
+        return narrowest_chord(points[i][0], ends, config.max_width + config.widening)
+
+    def widest(since: int, until: int) -> float:
+        return max((chord(i)[0] for i in range(since, until)), default=0.0)
+
     doors = []
     for i in range(bisect_left(at, first), bisect_right(at, last)):
-        near = width[bisect_left(at, at[i] - BESIDE) : bisect_right(at, at[i] + BESIDE)]
-        before = width[bisect_left(at, at[i] - reach) : i]
-        after = width[i + 1 : bisect_right(at, at[i] + reach)]
-        wider = min(max(before, default=0.0), max(after, default=0.0)) - config.widening
-        if config.min_width <= width[i] <= config.max_width and width[i] <= min(wider, *near):
-            found = passage_between(chords[i][1], points[i][1], width[i], at[i], trace)
+        width, jambs = chord(i)
+        if not config.min_width <= width <= config.max_width:
+            continue
+        near = range(bisect_left(at, at[i] - BESIDE), bisect_right(at, at[i] + BESIDE))
+        before = widest(bisect_left(at, at[i] - reach), i)
+        after = widest(i + 1, bisect_right(at, at[i] + reach))
+        narrowest = width <= min(chord(k)[0] for k in near)
+        if narrowest and width <= min(before, after) - config.widening:
+            found = passage_between(jambs, points[i][1], width, at[i], trace)
             if found is not None and is_door(found, config):
                 doors.append(found)
     return max(doors, key=lambda one: one.evidence, default=None)
