@@ -94,7 +94,7 @@ def drive_of(
     record = KeyScanRecord()
     for k, view in enumerate(views):
         trusted = not (faults and k in faults)
-        walls = np.full(len(view.length), -1)
+        walls = np.zeros(len(view.length), dtype=np.int64)  # of walls known, whichever they are
         record.add(int(block.stamps_ns[k]), 0, odometry[k], view, walls, trusted=trusted)
     return Drive(record.taken(), truth, np.array(poses))
 

@@ -9,6 +9,7 @@ from loop_cases import blank_corridor, comb, drive_of, twins
 from hiermap_cli.config import Config
 from hiermap_cli.estimation.noise import NoiseScale
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.loops.chain import BLIND, steps_of
 from hiermap_cli.mapping.loops.closing import close_loops
 
 WRONG = 0.4  # metres by which a wrong loop is off; the places that look alike are 3 m apart
@@ -95,6 +96,23 @@ def test_a_step_that_the_filter_got_wrong_is_put_right(rooms):
     result = closed(drive)
     assert not wrong_loops(drive, result)
     assert drive.position_errors(result.poses).max() < 0.3
+
+
+def test_a_step_to_a_scan_that_knows_no_wall_is_broken(rooms):
+    """However well the filter has gone where the odometry led: nothing but that led there."""
+    drive = drive_of(rooms)
+    k = len(drive.poses) // 2
+    s = drive.keyscans.segments
+    for kept in (0, 1):  # walls that the scan knew
+        at = np.flatnonzero(s.scan == k)
+        assert len(at) >= BLIND
+        wall = s.wall.copy()
+        wall[at[kept:]] = -1
+        keyscans = drive.keyscans._replace(segments=s._replace(wall=wall))
+        sound = steps_of(drive.keyscans, drive.poses, Config(), NoiseScale())
+        steps = steps_of(keyscans, drive.poses, Config(), NoiseScale())
+        assert np.flatnonzero(steps.broken & ~sound.broken).tolist() == ([] if kept else [k])
+        assert (np.trace(steps.covariance[k]) > np.trace(sound.covariance[k])) == (kept == 0)
 
 
 @pytest.mark.parametrize(
