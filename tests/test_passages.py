@@ -355,4 +355,5 @@ def test_only_the_last_metres_are_remembered():
         trace.add(np.array([trace.length, 0.0, 0.0]), 0.1, Sight(np.zeros(2), np.ones((3, 2))))
     assert trace.travelled[0] >= trace.length - KEPT
     assert len(trace.poses) == len(trace.ends) == pytest.approx(KEPT / 0.1, abs=2)
+    assert np.array_equal(trace.way.since(0), np.array(trace.poses)[:, :2])
     assert len(trace.near.since(0)) < 3 * len(trace.poses)

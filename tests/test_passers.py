@@ -121,6 +121,6 @@ def test_blanked_points_stay_so_when_room_is_made():
 
 
 def test_the_robot_goes_over_no_jamb():
-    path = [np.array([x, 0.0, 0.0]) for x in (0.0, 0.2, 0.4)]
+    path = np.array([[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
     points = np.array([[0.2, 0.1], [0.2, 0.4], [0.7, 0.0]])
     assert gone_over(points, path).tolist() == [True, False, False]

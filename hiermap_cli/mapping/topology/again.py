@@ -156,7 +156,7 @@ def _lasting(trace: Trace, since: int, path: list[Array]) -> Array:
 
 def _did_not_stay(trace: Trace, since: int, points: Array) -> Mask:
     """Which of the points (n, 2) the scans since one looked through, or the robot went over."""
-    gone = gone_over(points, trace.poses[since:])
+    gone = gone_over(points, trace.way.since(since))
     for looks in trace.looks[since:]:
         for look in looks:
             gone |= seen_through(look, points)

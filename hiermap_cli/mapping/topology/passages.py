@@ -78,8 +78,9 @@ class Passage(NamedTuple):
 class Trace:
     """The last metres of the path and what was seen from there, in the frame of the area.
 
-    keys, sights: the key scans, and what they saw in the robot's own frame. looks: where they
-    looked through, of those whose ends tell the width of the path.
+    keys, sights: the key scans, and what they saw in the robot's own frame. near: ends that tell
+    the width of the path. looks: where the scans they are of looked through. way: where the robot
+    was, a point a scan.
     """
 
     travelled: list[float] = field(default_factory=list)
@@ -91,6 +92,7 @@ class Trace:
     sights: list[Sight] = field(default_factory=list)
     near: NearEnds = field(default_factory=NearEnds)
     looks: list[tuple[Look, ...]] = field(default_factory=list)
+    way: NearEnds = field(default_factory=NearEnds)
     length: float = 0.0
     fresh: int = 0  # of the last scans: not yet taken by `older`
     entered: float = 0.0  # metres of path at which it came into the present area
@@ -120,6 +122,7 @@ class Trace:
         near, looks = self._near(origin, ends, turn_so_far)
         self.near.append(near)
         self.looks.append(looks)
+        self.way.append(pose[None, :2])
         self.fresh += 1
         old = 0
         while self.travelled[old] < self.length - KEPT or len(self.poses) - old > MOST:
@@ -157,6 +160,7 @@ class Trace:
         for kept in (self.origins, self.ends):
             kept[:] = [R_b_a[:2] + points @ turn for points in kept]
         self.near.move(R_b_a)
+        self.way.move(R_b_a)
         self.looks = [tuple(moved(looks, R_b_a)) for looks in self.looks]
         self._passers.move(R_b_a)
 
@@ -172,7 +176,7 @@ class Trace:
         """All that is kept for each scan."""
         return (
             self.travelled, self.turned, self.poses, self.origins, self.ends, self.keys,
-            self.sights, self.near, self.looks,
+            self.sights, self.near, self.looks, self.way,
         )  # fmt: skip
 
     def at(self, s: float) -> tuple[Array, Array]:
@@ -237,9 +241,10 @@ class PassageDetector:
         most = self.config.max_width + WIDER + self.config.widening
         ends = trace.near.since(recent)
         width, jambs = narrowest_chord(point, ends, most)
-        if width < self.config.min_width or (width <= most and gone_over(jambs, trace.poses).all()):
+        way = trace.way.since(0)
+        if width < self.config.min_width or (width <= most and gone_over(jambs, way).all()):
             # No robot goes through there: who walks before it is on its path, and no jamb.
-            ends = ends[~gone_over(ends, trace.poses)]
+            ends = ends[~gone_over(ends, way)]
             width, jambs = narrowest_chord(point, ends, most)
         self.at.append(s)
         self.width.append(width)

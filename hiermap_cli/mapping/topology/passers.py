@@ -99,13 +99,10 @@ def moved(looks: Sequence[Look], R_b_a: Array) -> list[Look]:
     ]
 
 
-def gone_over(points: Array, path: Sequence[Array]) -> Mask:
-    """Which of the points (n, 2) are so near the path's poses that the robot went over them."""
-    way = np.array(path)[:, :2]
-    middle = way.mean(axis=0)
-    points, way = points - middle, way - middle
-    far2 = (way * way).sum(axis=1) - 2.0 * (points @ way.T)
-    return np.asarray(far2.min(axis=1) + (points * points).sum(axis=1) < OVER * OVER)
+def gone_over(points: Array, way: Array) -> Mask:
+    """Which of the points (n, 2) are so near the robot's own (m, 2) that it went over them."""
+    far2 = np.square(way).sum(axis=1) - 2.0 * (points @ way.T)
+    return np.asarray(far2.min(axis=1) + np.square(points).sum(axis=1) < OVER * OVER)
 
 
 @dataclass(slots=True)
