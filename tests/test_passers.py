@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.topology.again import STAYED, ended_about
 from hiermap_cli.mapping.topology.near_ends import NearEnds
 from hiermap_cli.mapping.topology.passers import Passers, gone_over, looked, seen_through
 
@@ -124,3 +125,17 @@ def test_the_robot_goes_over_no_jamb():
     path = np.array([[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
     points = np.array([[0.2, 0.1], [0.2, 0.4], [0.7, 0.0]])
     assert gone_over(points, path).tolist() == [True, False, False]
+
+
+def test_scans_that_ended_near_a_point_are_told_for_all_points_at_once():
+    rng = np.random.default_rng(4)
+    scans = [rng.uniform(0.0, 1.0, (n, 2)) for n in (0, 5, 0, 9, 1, 0)]
+    points = rng.uniform(0.0, 1.0, (7, 2))
+    told = ended_about(scans, points)
+    assert told.any()
+    assert not told.all()
+    for ends, row in zip(scans, told, strict=True):
+        apart = np.hypot(*(ends[:, None] - points).T).T
+        assert row.tolist() == (apart < STAYED).any(axis=0).tolist()
+    assert ended_about(scans, points[:0]).shape == (6, 0)
+    assert ended_about([], points).shape == (0, 7)

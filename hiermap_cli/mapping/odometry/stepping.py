@@ -93,11 +93,13 @@ class Stepper:
         """
         if len(view.length) < 3 or len(area.features.uid) <= 3:
             return False
-        matched = view.length[step.matches.segment]
+        length, segments = view.length.tolist(), step.matches.segment.tolist()
         if known is not None:
-            matched = matched[step.area.features.uid[step.matches.wall] < known]
-        least = self.config.relocation.poor_match * float(view.length.sum())
-        return float(matched.sum()) < least
+            uids = step.area.features.uid[step.matches.wall].tolist()
+            segments = [i for i, uid in zip(segments, uids, strict=True) if uid < known]
+        # A dozen numbers are added sooner than an array function is called.
+        least = self.config.relocation.poor_match * sum(length)
+        return bool(sum([length[i] for i in segments]) < least)
 
     def misfit(self, step: Step) -> float:
         """How badly a scan fits the walls: NIS, and the gate for each segment without a wall."""

@@ -177,9 +177,10 @@ def _has_left(trace: Trace, since: int, points: Array) -> bool:
     """
     looks = [(k, one) for k in range(since, len(trace.poses)) for one in trace.looks[k]]
     through = np.array([seen_through(one, points) for _, one in looks]).reshape(-1, len(points))
-    for i in np.flatnonzero(np.count_nonzero(through, axis=0) >= AT_LEAST).tolist():
-        there = [_near(trace.ends[k], points[i], STAYED) for k, _ in looks]
-        hit = np.flatnonzero([near.any() for near in there])
+    asked = np.flatnonzero(np.count_nonzero(through, axis=0) >= AT_LEAST)
+    there = ended_about([trace.ends[k] for k, _ in looks], points[asked])
+    for i, hits in zip(asked.tolist(), there.T, strict=True):
+        hit = np.flatnonzero(hits)
         if not len(hit) or through[hit[0] : hit[-1] + 1, i].any():
             continue
         for j in hit.tolist():
@@ -191,3 +192,16 @@ def _has_left(trace: Trace, since: int, points: Array) -> bool:
             if surface(one, about[gone]) >= BODY:
                 return True
     return False
+
+
+def ended_about(ends: list[Array], points: Array) -> Mask:
+    """(L, p) which of L scans, with their ends (n, 2), have ended within STAYED of which points."""
+    if not len(points) or not ends:
+        return np.zeros((len(ends), len(points)), dtype=bool)
+    counts = [len(one) for one in ends]
+    every = np.concatenate(ends)
+    x, y = every[:, :1] - points[:, 0], every[:, 1:] - points[:, 1]
+    about = np.concatenate((x * x + y * y < STAYED * STAYED, np.zeros((1, len(points)), bool)))
+    starts = np.cumsum([0, *counts[:-1]])
+    # Of a scan without ends `reduceat` gives the next one's first.
+    return np.logical_or.reduceat(about, starts) & (np.array(counts) > 0)[:, None]
