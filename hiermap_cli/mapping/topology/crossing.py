@@ -8,26 +8,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hiermap_cli.estimation.stochastic_map import (
-    initial_map,
-    place_robot,
-    relative_covariance,
-)
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.area_map import EMPTY, AreaMap, area_from_here
+from hiermap_cli.mapping.area_map import area_from_here
 from hiermap_cli.mapping.association.recognition import Asked, Recogniser
-from hiermap_cli.mapping.association.relocation import robot_found
 from hiermap_cli.mapping.model import Event
 from hiermap_cli.mapping.portals import (
     KnownDoors,
     Portal,
     add_anchor,
     adrift,
-    anchor_index,
     door_frame,
 )
 from hiermap_cli.mapping.topology.again import door_hidden, door_missed, door_of
 from hiermap_cli.mapping.topology.door_evidence import longest_reach
+from hiermap_cli.mapping.topology.handover import begun_anew, by_anchors, by_walls
 from hiermap_cli.mapping.topology.looks import LookRecord
 from hiermap_cli.mapping.topology.lost import Place, Search
 from hiermap_cli.mapping.topology.passages import (
@@ -45,6 +39,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import Config
+    from hiermap_cli.mapping.area_map import AreaMap
     from hiermap_cli.mapping.association.recognition import Recognised
     from hiermap_cli.mapping.portals import PortalKind
     from hiermap_cli.mapping.topology.freespace import Region
@@ -160,12 +155,8 @@ class Crossings:
         self.places.look(a, self.trace, -1.0)
         left, anchor_a = add_anchor(self.area, key - 1)
         self.areas[a] = left
-        V, m = left.V, len(left.V.parameters)
-        fresh = initial_map(
-            np.zeros(3), np.zeros((3, 3)), V.parameters, V.covariance[3 : 3 + m, 3 : 3 + m],
-            V.coordinates,
-        )  # fmt: skip
-        new, anchor_b = adrift(AreaMap(fresh, EMPTY), key, c.sigma, c.sigma_angle)
+        V = left.V
+        new, anchor_b = adrift(begun_anew(V), key, c.sigma, c.sigma_angle)
         self.areas.append(new)
         b = len(self.areas) - 1
         self.portals.append(Portal(a, anchor_a, b, anchor_b, "lost", np.zeros(3), 0.0, 0.0, 0.0))
@@ -225,23 +216,10 @@ class Crossings:
         self.places.leave(self.current, self.trace, door, 1.0 if out_of_a else -1.0)
         there = p.b if out_of_a else p.a
         out, into = (p.anchor_a, p.anchor_b) if out_of_a else (p.anchor_b, p.anchor_a)
-        V = self.area.V
-        i = anchor_index(self.area, out)
-        R_anchor_r = se2.between(V.poses[i], V.robot)
-        C = relative_covariance(V, i, 0)
-        m = len(V.parameters)
-        other = self.areas[there]
-        placed = place_robot(
-            other.V,
-            anchor_index(other, into),
-            R_anchor_r,
-            C,
-            V.parameters,
-            V.covariance[3 : 3 + m, 3 : 3 + m],
-        )
-        self.areas[there] = replace(other, V=placed)
+        left = self.area
+        self.areas[there] = by_anchors(left, out, self.areas[there], into)
         self.portals[index] = self._seen_again(p, door)
-        self._go(there, V.robot)
+        self._go(there, left.V.robot)
         self._event(now, "area_reentered", area=self._name(), door=f"D{index + 1}")
 
     def _seen_again(self, p: Portal, door: Array) -> Portal:
@@ -335,16 +313,8 @@ class Crossings:
         left, anchor_a = add_anchor(self.area, now.key)
         self.areas[here] = left
         V = left.V
-        m = len(V.parameters)
-        other = self.areas[there]
-        C_parameters = V.covariance[3 : 3 + m, 3 : 3 + m]
-        pose = se2.compose(known.R_h_c, V.robot)
-        found = robot_found(other.V, pose, self.config.relocation)
-        P = found.covariance.copy()
-        P[3 : 3 + m], P[:, 3 : 3 + m] = 0.0, 0.0
-        P[3 : 3 + m, 3 : 3 + m] = C_parameters
-        found = replace(found, parameters=V.parameters, covariance=P)
-        self.areas[there], anchor_b = add_anchor(replace(other, V=found), now.key)
+        found = by_walls(V, known.R_h_c, self.areas[there], self.config.relocation)
+        self.areas[there], anchor_b = add_anchor(found, now.key)
         link = Portal(here, anchor_a, there, anchor_b, kind, np.zeros(3), 0.0, 0.0, 0.0)
         lost = [i for i, p in enumerate(self.portals) if p.kind == "lost" and p.b in self._apart]
         if lost:
