@@ -1,4 +1,4 @@
-"""Worlds in which people walk about or the robot is carried, and whether a run came right."""
+"""Worlds in which people walk about, the robot is carried or its odometry lies, and what came."""
 
 from __future__ import annotations
 
@@ -25,7 +25,15 @@ if TYPE_CHECKING:
     from hiermap_cli.simulation.spec import WorldSpec
     from hiermap_cli.simulation.world import World
 
-SCENARIOS = ("plain", "people", "lifted")
+# How the wheels lie: what they miss between two way points, or for some seconds.
+BENDS = {"bend": [0.4, 0.0, 0.0873], "jump": [1.2, 0.3, 0.5]}
+FAULTS = {"reversed": 8.0, "missing": 3.0}
+BEHIND = 4  # the way point behind which they miss it: in the room that between stops 5 and 6
+LATE = 0.6  # of the journey, when a fault begins
+SCENARIOS = ("plain", "people", "lifted", *BENDS, *FAULTS)
+NOTICED = (
+    "odometry_reversed", "odometry_missing", "odometry_failed", "relocated", "lost",
+)  # fmt: skip
 BARS = {"room": 0.05, "room_corridor": 0.05, "ring": 0.05, "office": 0.10}  # metres at the end
 PEOPLE = 10
 FAR = (2.5, 3.5)  # metres that a lifted robot is put down away
@@ -35,11 +43,16 @@ NO_POSES = np.zeros((0, 3))
 
 
 class Outcome(NamedTuple):
-    """Metres that the robot is off at the end, aligned at the first pose, and what is wrong with
-    the areas and doors that the robot truly was in and drove through, if anything."""
+    """What came of a run.
+
+    end: metres that the robot is off at the end, aligned at the first pose. wrong: what is wrong
+    with the areas and doors that the robot truly was in and drove through, if anything. noticed:
+    the kinds of accidents that the run tells of.
+    """
 
     end: float
     wrong: str
+    noticed: frozenset[str]
 
     def success(self, bar: float) -> bool:
         """Whether the map is right and the robot where it is."""
@@ -52,8 +65,16 @@ def spoilt(spec: WorldSpec, scenario: str, seed: int) -> World:
         return build_world(spec)
     if scenario == "lifted":
         return lifted(spec, np.random.default_rng([seed, 1]))
-    plain = {**spec.model_dump(exclude_none=True), "people": {"number": PEOPLE}}
-    return build_world(type(spec).model_validate(plain))
+    changed = spec.model_dump(exclude_none=True)
+    if scenario == "people":
+        changed["people"] = {"number": PEOPLE}
+    elif scenario in BENDS:
+        changed["odometry"]["bends"] = [{"after": BEHIND, "bend": BENDS[scenario]}]
+    else:
+        begin = LATE * build_world(spec).journey.end
+        fault = {"kind": scenario, "begin": begin, "end": begin + FAULTS[scenario]}
+        changed["odometry"]["faults"] = [fault]
+    return build_world(type(spec).model_validate(changed))
 
 
 def lifted(spec: WorldSpec, rng: np.random.Generator) -> World:
@@ -106,4 +127,5 @@ def judged(simulation: Simulation, result: MapResult) -> Outcome:
         wrong.append(f"doors missed {list(doors.missed)}, {len(doors.false)} false")
     if edges.missed or edges.false:
         wrong.append(f"edges missed {list(edges.missed)}, {len(edges.false)} false")
-    return Outcome(float(np.hypot(error[0], error[1])), "; ".join(wrong))
+    told = frozenset(event.kind for event in result.events) & frozenset(NOTICED)
+    return Outcome(float(np.hypot(error[0], error[1])), "; ".join(wrong), told)
