@@ -9,8 +9,8 @@ import pytest
 
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.topology.looks import LookRecord, seen_from
-from hiermap_cli.mapping.topology.passages import Trace
 from hiermap_cli.mapping.topology.places import Places
+from hiermap_cli.mapping.topology.trace import Trace
 from hiermap_cli.perception.sight import Sight
 
 ORIGIN = np.array([0.1, -0.02])

@@ -13,13 +13,12 @@ from hiermap_cli.mapping.topology.chords import narrowest_chord
 from hiermap_cli.mapping.topology.door_evidence import demanded, is_door, needed, reach_of
 from hiermap_cli.mapping.topology.near_ends import NearEnds
 from hiermap_cli.mapping.topology.passages import (
-    KEPT,
     Passage,
     PassageDetector,
-    Trace,
     aligned,
     line_evidence,
 )
+from hiermap_cli.mapping.topology.trace import KEPT, Trace
 from hiermap_cli.perception.sight import REACH, Sight, sights
 
 # Two rooms and a wall 0.2 m thick between them at x = 0, with a door 0.9 m wide.

@@ -102,6 +102,19 @@ def test_the_way_back_counts_too():
     assert told[0] is None
 
 
+def test_a_way_that_was_none_leads_through_no_door():
+    maps, portals = chain(2)
+    told = []
+    for otherwise in (False, True):
+        doors = watched(maps, portals, 0)
+        for x in (3.5, 4.2):  # over the threshold, and not yet well beyond
+            doors.gone_through(np.array([x, 0.0, 0.0]))
+        if otherwise:  # it came past the door, three metres beside it
+            doors.rewatch([np.array([x, 3.0, 0.0]) for x in (3.5, 4.2)])
+        told.append(doors.gone_through(np.array([4.5, 3.0, 0.0])))
+    assert told == [0, None]
+
+
 def test_who_passes_beside_a_door_or_turns_back_has_not_left():
     maps, portals = chain(2)
     doors = watched(maps, portals, 0)

@@ -362,6 +362,7 @@ class Mapper:
             increments = np.array([one.drive.increments[-1] for one in earlier])
             walls = np.concatenate([matched_walls(one.view, one.step) for one in earlier])
             self.keyscans.amend(increments, walls)
+        self.crossings.amend({one.key: one.step.area.V.robot for one in earlier})
         self.driving.direction.take(other)
         if self.driving.direction.sign < 0.0:
             self.driving.stretches.begin(

@@ -118,6 +118,11 @@ class KnownDoors:
         self._before = None
         self._passed = set()
 
+    def rewatch(self, poses: Sequence[Array]) -> None:
+        """The robot has come by these poses, and not as was seen."""
+        self._before, self._passed = None, set()
+        self.replay(poses)
+
     def replay(self, poses: Sequence[Array]) -> None:
         """The way by which the robot has come, where it is in the area since before now."""
         for pose in poses:

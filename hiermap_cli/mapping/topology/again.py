@@ -20,14 +20,16 @@ import numpy as np
 
 from hiermap_cli.mapping.topology.chords import WIDEST, narrowest_chord
 from hiermap_cli.mapping.topology.door_evidence import is_door, needed
-from hiermap_cli.mapping.topology.passages import BESIDE, BIN, NEAR, SAMPLE, passage_between
+from hiermap_cli.mapping.topology.passages import BESIDE, BIN, SAMPLE, passage_between
 from hiermap_cli.mapping.topology.passers import gone_over, seen_through, surface
+from hiermap_cli.mapping.topology.trace import NEAR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import DoorConfig
-    from hiermap_cli.mapping.topology.passages import Passage, PassageDetector, Trace
+    from hiermap_cli.mapping.topology.passages import Passage, PassageDetector
+    from hiermap_cli.mapping.topology.trace import Trace
 
     Array = NDArray[np.float64]
     Mask = NDArray[np.bool_]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -24,17 +25,12 @@ from hiermap_cli.mapping.topology.door_evidence import longest_reach
 from hiermap_cli.mapping.topology.handover import begun_anew, by_anchors, by_walls
 from hiermap_cli.mapping.topology.looks import LookRecord
 from hiermap_cli.mapping.topology.lost import Place, Search
-from hiermap_cli.mapping.topology.passages import (
-    KEPT,
-    Passage,
-    PassageDetector,
-    Trace,
-    aligned,
-)
+from hiermap_cli.mapping.topology.passages import Passage, PassageDetector, aligned
 from hiermap_cli.mapping.topology.places import AT_HOME, NEAR_BY, Places
+from hiermap_cli.mapping.topology.trace import KEPT, Trace
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -166,6 +162,13 @@ class Crossings:
         self._search.forget()
         self._began = True
         return b
+
+    def amend(self, poses: Mapping[int, Array]) -> None:
+        """The robot has come otherwise: where it was at the last key scans, by their numbers."""
+        if poses:
+            self._detector.rewind(self.trace.amend(poses))
+            since = bisect_left(self.trace.travelled, self.trace.entered)
+            self._doors.rewatch(self.trace.poses[since:])
 
     def finish(self) -> None:
         """The end of the log: what was seen last belongs to the area where the robot is."""

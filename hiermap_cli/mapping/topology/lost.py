@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from hiermap_cli.config import Config
     from hiermap_cli.mapping.area_map import AreaMap
     from hiermap_cli.mapping.association.relocation import Lines
-    from hiermap_cli.mapping.topology.passages import Trace
+    from hiermap_cli.mapping.topology.trace import Trace
     from hiermap_cli.perception.views import SegmentView
 
     Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hiermap_cli.mapping.area_map import AreaMap
     from hiermap_cli.mapping.portals import Portal
     from hiermap_cli.mapping.topology.looks import LookRecord
-    from hiermap_cli.mapping.topology.passages import Trace
+    from hiermap_cli.mapping.topology.trace import Trace
 
     Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hiermap_cli.config import Config, RelocationConfig
     from hiermap_cli.mapping.area_map import AreaMap
     from hiermap_cli.mapping.association.relocation import Lines
-    from hiermap_cli.mapping.topology.passages import Trace
+    from hiermap_cli.mapping.topology.trace import Trace
     from hiermap_cli.perception.sight import Sight
     from hiermap_cli.perception.views import SegmentView
 
