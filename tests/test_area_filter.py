@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from estimation_cases import COORDINATES, UPDATES, error_of, room, view_from, whole_room
@@ -33,7 +31,7 @@ def robot_at(area, pose, sigma=None):
     if sigma is not None:
         P[:3], P[:, :3] = 0.0, 0.0
         P[:3, :3] = sigma**2 * np.eye(3)
-    return replace(area, V=replace(area.V, poses=poses, covariance=P))
+    return area._replace(V=area.V._replace(poses=poses, covariance=P))
 
 
 def looked(area, view, keys=(0, 1), config=CONFIG):
@@ -155,11 +153,11 @@ def test_what_is_not_in_sight_moves_with_what_is():
     common = np.zeros((len(P), 1))
     for wall in range(4):
         common[area.V.columns(1 + wall)][:2] = 0.05  # the whole room, not the robot
-    area = replace(area, V=replace(area.V, covariance=P + common @ common.T))
+    area = area._replace(V=area.V._replace(covariance=P + common @ common.T))
     truth = room()
     shift = np.array([0.04, 0.04, 0.0])
-    truth = replace(
-        truth, V=replace(truth.V, poses=truth.V.poses + np.vstack((np.zeros(3), *[shift] * 4)))
+    truth = truth._replace(
+        V=truth.V._replace(poses=truth.V.poses + np.vstack((np.zeros(3), *[shift] * 4)))
     )
     view = view_from(truth, [(0, -2.0, 2.0), (1, -1.0, 1.0)])
     after = observe(area, view, 1, CONFIG).area.V
@@ -173,14 +171,14 @@ def test_the_lasers_place_is_found():
     area = room(sigma=1e-5)
     P = area.V.covariance.copy()
     P[3:7, 3:7] = np.diag([1e-12, 1e-12, 1e-12, 0.1**2])
-    area = replace(area, V=replace(area.V, covariance=P))
+    area = area._replace(V=area.V._replace(covariance=P))
     L = np.array([0.06, 0.0, 0.0])
     centre = se2.compose(area.V.robot, se2.invert(L))
     for key in range(12):
         increment = np.array([0.0, 0.0, 0.5])
         centre = se2.compose(centre, increment)
         told = motion(increment, area.V.parameters, CONFIG.odometry)
-        area = replace(area, V=predict(area.V, told))
+        area = area._replace(V=predict(area.V, told))
         view = whole_room(room(robot=tuple(se2.compose(centre, L))))
         area = observe(area, view, key, CONFIG).area
     assert area.V.parameters[LASER_X] == pytest.approx(0.06, abs=0.01)
@@ -199,7 +197,7 @@ def test_two_pieces_of_one_wall_are_that_wall():
 def test_a_walls_extent_grows_with_what_is_seen_of_it():
     truth = room()
     known = truth.features._replace(lo=np.full(4, -0.5), hi=np.full(4, 0.5))
-    area = replace(truth, features=known)
+    area = truth._replace(features=known)
     view = view_from(truth, [(0, -0.2, 2.4), (2, -1.2, 0.1)])
     f = observe(area, view, 1, CONFIG).area.features
     assert f.lo[[0, 2]] == pytest.approx([-0.5, -1.2], abs=0.01)
@@ -347,7 +345,7 @@ def test_a_room_driven_round_without_noise_has_no_error(coordinates):
 
 def with_counts(area, seen, last):
     f = area.features._replace(seen=np.array(seen), last=np.array(last))
-    return replace(area, features=f)
+    return area._replace(features=f)
 
 
 def test_what_is_rarely_seen_is_forgotten_first():
@@ -366,7 +364,7 @@ def test_ends_go_with_their_wall_and_anchors_stay():
     f = area.features
     seen = np.where(f.uid == 0, 1, 100)
     seen[f.kind == ANCHOR] = 1
-    area = replace(area, features=f._replace(seen=seen))
+    area = area._replace(features=f._replace(seen=seen))
     after, lost = forget_unseen(area, 1000, CONFIG.forget)
     assert lost == 3
     assert not np.isin(0, after.features.uid)

@@ -1,7 +1,5 @@
 """Landmarks of an area as functions of its state: pieces of walls, covariances, joined areas."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from estimation_cases import (
@@ -162,7 +160,7 @@ def test_landmark_poses_and_shapes_depend_on_the_state_as_they_say(coordinates):
     assert {draft.kind for draft in drafts} == {"corner_concave", "door"}
 
     def poses(e):
-        return np.ravel([draft.pose for draft in landmarks_of(replace(area, V=moved(area.V, e)))])
+        return np.ravel([draft.pose for draft in landmarks_of(area._replace(V=moved(area.V, e)))])
 
     expected = np.concatenate([draft.pose_by_state for draft in drafts])
     numeric = derivative(poses, len(area.V.covariance))
@@ -201,7 +199,7 @@ def test_models_are_sound_and_tell_the_robot_in_the_landmarks_frame(coordinates)
 def test_landmarks_that_share_a_wall_are_correlated_through_it():
     area = room_with_ends(np.random.default_rng(4))
     P = np.diag(np.diagonal(area.V.covariance))  # walls that know nothing of each other
-    area = replace(area, V=replace(area.V, covariance=P))
+    area = area._replace(V=area.V._replace(covariance=P))
     drafts = landmarks_of(area)
     C = joint_covariance(area.V, drafts)
     corners = [k for k, draft in enumerate(drafts) if draft.kind == "corner_concave"]
@@ -234,7 +232,7 @@ def test_a_change_of_frame_costs_nothing(coordinates):
     back = change_frame(V, se2.invert(R))
     np.testing.assert_allclose(back.covariance, area.V.covariance, atol=1e-15)
     # What one pose is to another is as well known as before.
-    for one, other in zip(landmarks_of(area), landmarks_of(replace(area, V=V)), strict=True):
+    for one, other in zip(landmarks_of(area), landmarks_of(area._replace(V=V)), strict=True):
         assert one.kind == other.kind
         model = landmark_model(area.V, one, "L1", "A1")
         again = landmark_model(V, other, "L1", "A1")
@@ -256,7 +254,7 @@ def anchored(rng, uid_pose: np.ndarray, coordinates: str) -> AreaMap:
     f = area.features
     row = [20, ANCHOR, -1, 0, 0.0, 0.0, 1, 0]
     columns = [np.append(column, value) for column, value in zip(f, row, strict=True)]
-    return AreaMap(replace(V, poses=poses, covariance=P), type(f)(*columns), 21)
+    return AreaMap(V._replace(poses=poses, covariance=P), type(f)(*columns), 21)
 
 
 def portal(a: int, b: int, kind: str = "same") -> Portal:
@@ -276,8 +274,8 @@ def test_joined_areas_have_the_covariance_of_their_parts_errors(coordinates):
 
     def poses(e):
         both = [
-            replace(areas[0], V=moved(areas[0].V, e[:n])),
-            replace(areas[1], V=moved(areas[1].V, e[n:])),
+            areas[0]._replace(V=moved(areas[0].V, e[:n])),
+            areas[1]._replace(V=moved(areas[1].V, e[n:])),
         ]
         return join(both, portals, (0, 1), 1).map.V.poses.ravel()
 

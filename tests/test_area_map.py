@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from estimation_cases import (
@@ -259,7 +257,7 @@ def test_a_new_area_takes_the_walls_in_sight_with_their_ends(rng):
     """Only what the last scan saw, no anchor, no end without its wall; nothing renumbered."""
     area, _, _ = scene(rng, "invariant")
     last = np.array([9, 3, 9, 9, 3, 9])  # wall 1 and the second end of wall 0 are out of sight
-    area = replace(area, features=area.features._replace(last=last))
+    area = area._replace(features=area.features._replace(last=last))
     area, anchor = add_anchor(area, 9)
     assert anchor == 6
     fresh = area_from_here(area, 9)
@@ -270,7 +268,7 @@ def test_a_new_area_takes_the_walls_in_sight_with_their_ends(rng):
     told = se2.between(area.V.robot, area.V.poses[[1, 3, 4, 6]])
     assert fresh.V.poses[1:] == pytest.approx(told)
     last[0] = 3  # without the wall its ends do not come either
-    gone = area_from_here(replace(area, features=area.features._replace(last=np.r_[last, 9])), 9)
+    gone = area_from_here(area._replace(features=area.features._replace(last=np.r_[last, 9])), 9)
     assert gone.features.uid.tolist() == [2, 5]
 
 

@@ -40,7 +40,7 @@ def area_with(walls, half, ends, coordinates="invariant"):
     poses = np.array([[3.0, 2.0, 0.3], *walls, *at, ANCHOR_POSE])
     P = random_covariance(rng, 3 + 4 + 3 * (len(poses) - 1), 0.01)
     V = StochasticMap(poses, np.zeros(4), P, coordinates)
-    without = replace(V, poses=poses[:-1], covariance=P[:-3, :-3])
+    without = V._replace(poses=poses[:-1], covariance=P[:-3, :-3])
     f = walls_area(without, half, ends).features
     row = [50, ANCHOR, -1, 0, 0.0, 0.0, 1, 0]
     columns = [np.append(column, value) for column, value in zip(f, row, strict=True)]
@@ -77,7 +77,7 @@ def test_a_door_that_was_crossed_is_a_landmark_whatever_was_mapped_of_it(case, c
     assert covariance_fault(model.covariance) is None
 
     def change(e):
-        pose = door_of(one_part(replace(area.map, V=moved(area.map.V, e))))[0].pose
+        pose = door_of(one_part(area.map._replace(V=moved(area.map.V, e))))[0].pose
         return np.append(pose[:2], se2.wrap(pose[2] - draft.pose[2]))
 
     numeric = derivative(change, len(area.map.V.covariance))

@@ -8,7 +8,6 @@ and back in. The same drive without that constraint is what it is held against.
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -72,7 +71,7 @@ def moved():
     told = Constraint(np.array([shift]), H[:, :3], gain_of(P, columns, H, np.array([[TOLD]])))
     pushed, _ = constrain(V, told, lambda _: np.array([shift]))
     after = copy.deepcopy(before)
-    after.areas[after.current] = replace(before.area, V=pushed)
+    after.areas[after.current] = before.area._replace(V=pushed)
     return Moved(before, after, int(walls[k]), shift)
 
 

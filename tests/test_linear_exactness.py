@@ -7,8 +7,6 @@ inverse of S, and shares nothing with the code that it checks.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from estimation_cases import COORDINATES, UPDATES, walls_area
@@ -299,4 +297,4 @@ def test_a_scan_of_an_area_is_the_kalman_filters(coordinates, update, seed):
         d = 0.1 * rng.normal(size=2)
         moving = motion(np.array([*d, 0.0]), V.parameters, STRAIGHT)
         kalman.predict(d, moving.covariance[:2, :2])
-        area = replace(area, V=predict(V, moving))
+        area = area._replace(V=predict(V, moving))

@@ -282,8 +282,8 @@ def test_a_folder_that_appears_meanwhile_is_not_replaced(tmp_path):
 
 
 def test_temporary_names_never_meet(tmp_path, monkeypatch):
-    tokens = iter(["aa", "aa", "bb"])
-    monkeypatch.setattr(module.secrets, "token_hex", lambda _: next(tokens))
+    tokens = iter([b"aaaa", b"aaaa", b"bbbb"])
+    monkeypatch.setattr(module.os, "urandom", lambda _: next(tokens))
     first = module._new_folder(tmp_path, "out")
     second = module._new_folder(tmp_path, "out")
     assert first.name != second.name

@@ -171,7 +171,7 @@ def test_ways_that_are_known_are_known_again_until_the_area_changes():
     ways = Ways()
     relative_frames(0, maps, portals, ways)
     V = maps[1].V
-    maps[1] = replace(maps[1], V=replace(V, covariance=4.0 * V.covariance))
+    maps[1] = maps[1]._replace(V=V._replace(covariance=4.0 * V.covariance))
     for here in (0, 2):
         again, anew = (relative_frames(here, maps, portals, *w) for w in ((ways,), ()))
         assert again.keys() == anew.keys() == set(range(4)) - {here}

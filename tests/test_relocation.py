@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from estimation_cases import (
@@ -97,7 +95,7 @@ def test_two_places_that_explain_as_much_are_not_chosen_between():
         StochasticMap(np.vstack(([0.0, 0.0, 0.0], walls)), np.zeros(4), P),
         [6.0, 0.5, 0.5, 0.4, 0.4],
     )
-    seeing = replace(area, V=replace(area.V, poses=np.vstack(([-0.6, -0.3, 0.0], walls))))
+    seeing = area._replace(V=area.V._replace(poses=np.vstack(([-0.6, -0.3, 0.0], walls))))
     view = view_from(seeing, [(0, -1.6, 0.4), (1, -0.5, 0.5), (3, -0.4, 0.4)])
     assert relocate(area, view, CONFIG, suspect=True) is None
     # With what tells the niches apart in sight there is no doubt.

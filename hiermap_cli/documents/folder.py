@@ -10,7 +10,6 @@ A folder is only replaced if hiermap has written everything in it.
 from __future__ import annotations
 
 import os
-import secrets
 import shutil
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -132,7 +131,7 @@ def _new_folder(parent: Path, name: str) -> Path:
     """A new, hidden folder; `mkdir` and not `mkdtemp`, so that the umask decides."""
     parent.mkdir(parents=True, exist_ok=True)
     while True:
-        temporary = parent / f".{name[:200]}.{secrets.token_hex(4)}"
+        temporary = parent / f".{name[:200]}.{os.urandom(4).hex()}"
         try:
             temporary.mkdir()
         except FileExistsError:
@@ -207,7 +206,7 @@ def output_file(path: Path, option: str = "-o") -> Iterator[Path]:
         OutputError: the disk is full or fails.
     """
     path = Path(os.path.realpath(path))
-    temporary = path.with_name(f".{path.name[:200]}.{secrets.token_hex(4)}")
+    temporary = path.with_name(f".{path.name[:200]}.{os.urandom(4).hex()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary

@@ -50,8 +50,11 @@ def write_result(folder: Path, result: MapResult) -> None:
         write_model(model_file, result.model)
     with (folder / TRAJECTORY).open("w", encoding="ascii", newline="\n") as file:
         write_tum(file, final.stamps_ns, final.poses)
-    with (folder / TRAJECTORY_FILTER).open("w", encoding="ascii", newline="\n") as file:
-        write_tum(file, by_filter.stamps_ns, by_filter.poses)
+    if by_filter is final:
+        (folder / TRAJECTORY_FILTER).write_bytes((folder / TRAJECTORY).read_bytes())
+    else:
+        with (folder / TRAJECTORY_FILTER).open("w", encoding="ascii", newline="\n") as file:
+            write_tum(file, by_filter.stamps_ns, by_filter.poses)
     with (folder / TRAJECTORY_COVARIANCE).open("w", encoding="ascii", newline="\n") as file:
         write_covariances(file, final.stamps_ns, final.covariances)
     picture = map_svg(result.model, final)

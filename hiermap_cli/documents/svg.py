@@ -271,22 +271,18 @@ def _inner_point(polygon: Array) -> Array:
     steps = (np.arange(24) + 0.5) / 24
     x, y = np.meshgrid(low[0] + steps * (high[0] - low[0]), low[1] + steps * (high[1] - low[1]))
     grid = np.column_stack((x.ravel(), y.ravel()))
-    a, b = polygon, np.roll(polygon, -1, axis=0)
-    inside = np.zeros(len(grid), dtype=bool)
-    nearest = np.full(len(grid), np.inf)
-    for (ax, ay), (bx, by) in zip(a.tolist(), b.tolist(), strict=True):
-        between = (ay > grid[:, 1]) != (by > grid[:, 1])
-        if ay != by:
-            crossing = ax + (grid[:, 1] - ay) * (bx - ax) / (by - ay)
-            inside ^= between & (grid[:, 0] < crossing)
-        edge = np.array([bx - ax, by - ay])
-        length2 = max(float(edge @ edge), 1e-12)
-        along = np.clip((grid - [ax, ay]) @ edge / length2, 0.0, 1.0)
-        away = np.linalg.norm(grid - [ax, ay] - along[:, None] * edge, axis=1)
-        nearest = np.minimum(nearest, away)
+    # Rows are the edges from a to b, columns the points of the grid.
+    (ax, ay), (bx, by) = polygon.T[..., None], np.roll(polygon, -1, axis=0).T[..., None]
+    (x, y), dx, dy = grid.T, bx - ax, by - ay
+    crossing = ax + (y - ay) * dx / np.where(dy == 0.0, 1.0, dy)
+    left_of = ((ay > y) != (by > y)) & (x < crossing)
+    inside = np.count_nonzero(left_of, axis=0) % 2 == 1
     if not inside.any():
         middle: Array = polygon.mean(axis=0)
         return middle
+    along = ((x - ax) * dx + (y - ay) * dy) / np.maximum(dx * dx + dy * dy, 1e-12)
+    along = along.clip(0.0, 1.0)
+    nearest = np.hypot(x - ax - along * dx, y - ay - along * dy).min(axis=0)
     best: Array = grid[int(np.argmax(np.where(inside, nearest, -1.0)))]
     return best
 

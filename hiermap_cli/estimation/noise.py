@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hiermap_cli.geometry.median import median
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -89,7 +91,7 @@ def residual_factor(chi2: Array, degrees: NDArray[np.int64], config: NoiseConfig
     many = degrees >= LEAST_DEGREES
     if np.count_nonzero(many) < LEAST_FITS:
         return 1.0
-    factor = float(np.median(chi2[many] / degrees[many]))
+    factor = float(median(chi2[many] / degrees[many]))
     return min(max(factor, config.laser_range[0]), config.laser_range[1])
 
 

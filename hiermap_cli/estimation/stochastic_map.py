@@ -10,7 +10,6 @@ written for the invariant error; additive ones follow by `invariant_D_additive`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -27,8 +26,7 @@ if TYPE_CHECKING:
 Coordinates = Literal["invariant", "additive"]
 
 
-@dataclass(frozen=True, slots=True)
-class StochasticMap:
+class StochasticMap(NamedTuple):
     """V and C(V). poses: (1 + n, 3), the robot first; parameters: (m,); covariance: (N, N)."""
 
     poses: Array
@@ -79,6 +77,10 @@ class StochasticMap:
         if self.coordinates == "invariant":
             return _ones_like(pose)
         return se2.invariant_D_additive(pose)
+
+    def by_error(self, J: Array, pose: Array) -> Array:
+        """A Jacobian (..., 3, 3) by deltas as one by the errors of poses (..., 3)."""
+        return J if self.coordinates == "invariant" else J @ se2.invariant_D_additive(pose)
 
     def error_D_tangent(self, pose: Array) -> Array:
         """d error / d tangent at a pose (its own frame), in this map's coordinates, (3, 3)."""
@@ -197,8 +199,7 @@ def augment(V: StochasticMap, X: Array, columns: Index, A: Array, noise: Array) 
 def remove_objects(V: StochasticMap, keep: Index) -> StochasticMap:
     """V with only the objects of the given pose indices (1 .. n), in that order."""
     columns = V.error_columns(np.asarray(keep) - 1)
-    return replace(
-        V,
+    return V._replace(
         poses=V.poses[np.concatenate(([0], keep)).astype(np.int64)],
         covariance=V.covariance.take(columns, axis=0).take(columns, axis=1),
     )
@@ -249,7 +250,7 @@ def place_robot(
     P[:3, :3] = to_robot @ P[where, where] @ to_robot.T + Ad @ C_tangent @ Ad.T
     poses = V.poses.copy()
     poses[0] = robot
-    return replace(V, poses=poses, parameters=parameters, covariance=P)
+    return V._replace(poses=poses, parameters=parameters, covariance=P)
 
 
 def _identity(_pose: Array) -> Array:
@@ -280,4 +281,4 @@ def seen_from_robot(V: StochasticMap, keep: Index) -> StochasticMap:
         here = Ad if V.coordinates == "invariant" else se2.additive_D_invariant(poses[1 + i]) @ Ad
         T[rows, V.columns(pose)] = here @ V.invariant_D_error(V.poses[pose])
         T[rows, :3] = -here @ V.invariant_D_error(V.robot)
-    return replace(V, poses=poses, covariance=symmetrise(T @ V.covariance @ T.T))
+    return V._replace(poses=poses, covariance=symmetrise(T @ V.covariance @ T.T))

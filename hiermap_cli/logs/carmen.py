@@ -12,6 +12,7 @@ transform `base` -> laser.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -158,15 +159,14 @@ class CarmenLog:
         """The range at which the laser saturates, from its own first scans in the log."""
         if topic not in self._reach:
             name = topic.encode()
+            lines = (line for line in self._lines([]) if line.startswith(name))
+            lines = (line for line in lines if _name(line) == name)
             head: list[NDArray[np.float32]] = []
-            for line in self._lines([]):
-                if line.startswith(name) and line[:24].split(None, 1)[0] == name:
-                    try:
-                        head.append(laser_line(name, line).ranges)
-                    except (ValueError, IndexError, OverflowError):
-                        continue
-                    if len(head) == HEAD_SCANS:
-                        break
+            while batch := list(islice(lines, HEAD_SCANS - len(head))):
+                together = laser_lines([name] * len(batch), batch)
+                for place, line in enumerate(batch):
+                    with suppress(ValueError, IndexError, OverflowError):
+                        head.append((together.get(place) or laser_line(name, line)).ranges)
             self._reach[topic] = infer_range_max(head)
         return self._reach[topic]
 

@@ -44,8 +44,7 @@ class Mount:
         return np.array([self.x, self.y, self.yaw])
 
 
-@dataclass(frozen=True, slots=True)
-class Scan:
+class Scan(NamedTuple):
     """One scan as read: `ranges` (beams,) float32, stamp of its header, frame of the laser."""
 
     stamp_ns: int
@@ -54,8 +53,7 @@ class Scan:
     frame: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Odometry:
+class Odometry(NamedTuple):
     """One odometry reading: pose of the robot in the odometry's frame, `[x, y, theta]`.
 
     `theta` is as the log has it, not wrapped. `frame` is the odometry's frame, `child` the

@@ -10,7 +10,6 @@ and each end once; nothing is counted twice. Corners, doors and corridors are gr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     Index = NDArray[np.int64]
 
 WALL, END, ANCHOR = 0, 1, 2
+_ONE = np.eye(3)
 
 
 class Features(NamedTuple):
@@ -68,8 +68,7 @@ class Glimpse(NamedTuple):
     key: int
 
 
-@dataclass(frozen=True, slots=True)
-class AreaMap:
+class AreaMap(NamedTuple):
     """V and C(V) of one area and its features; `next_uid` is the next free uid.
 
     glimpsed: ends seen once, which are not in V yet. Most of them are seen never again.
@@ -138,8 +137,8 @@ def add_ends(
     row[:, 0, 0], row[:, 0, 1], row[:, 0, 2] = c, s, s * X[:, 0] - c * X[:, 1]
     along = u @ row
     A = np.zeros((k, 3, start + 3 * k))
-    A[:, :, :3] = along @ V.invariant_D_error(V.robot)
-    across = (np.eye(3) - along) @ V.invariant_D_error(X_w)
+    A[:, :, :3] = V.by_error(along, V.robot)
+    across = V.by_error(_ONE - along, X_w)
     for i in range(k):
         A[i, :, start + 3 * i : start + 3 * i + 3] = across[i]
     noise = u * np.square(sigma)[:, None, None] * u.transpose(0, 2, 1)
@@ -160,8 +159,7 @@ def add_ends(
 def forget(area: AreaMap, drop: NDArray[np.bool_]) -> AreaMap:
     """The area without the objects where `drop` (n,) is True: what is left is marginal."""
     keep = np.flatnonzero(~drop)
-    return replace(
-        area,
+    return area._replace(
         V=remove_objects(area.V, keep + 1),
         features=Features._make(column[keep] for column in area.features),
     )

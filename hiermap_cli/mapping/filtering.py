@@ -47,7 +47,7 @@ def learn_noise(stream: Iterator[ScanBlock], config: Config) -> tuple[list[SeenB
     first: list[SeenBlock] = []
     if not config.noise.estimate or not config.noise.warm_up:
         return first, NoiseScale()
-    scout = Mapper(config, noise_rate=config.noise.warm_up_rate)
+    scout = Mapper(config, noise_rate=config.noise.warm_up_rate, one_area=True)
     for block in stream:
         parts = parted(block, config)
         if not first:

@@ -8,7 +8,6 @@ environment level composes the frames in g, and the trail in the areas becomes t
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -99,7 +98,7 @@ def change_frame(V: StochasticMap, R_a_b: Array) -> StochasticMap:
         where = V.columns(i)
         P[where] = block @ P[where]
         P[:, where] = P[:, where] @ block.T
-    return replace(V, poses=poses, covariance=symmetrise(P))
+    return V._replace(poses=poses, covariance=symmetrise(P))
 
 
 def _anchors(areas: Sequence[AreaMap]) -> tuple[list[Anchors], list[dict[int, int]]]:
@@ -167,7 +166,7 @@ def _corrected(area: AreaMap, before: Anchors, environment: Environment, i: int)
             T[V.columns(k), V.columns(k)] = block
         P = T @ P @ T.T
     parameters = V.parameters + e[3 : V.first_object]
-    return replace(V, poses=poses, parameters=parameters, covariance=symmetrise(P))
+    return V._replace(poses=poses, parameters=parameters, covariance=symmetrise(P))
 
 
 def _robot(environment: Environment, current: int) -> tuple[Array, Array]:

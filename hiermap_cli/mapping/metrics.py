@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hiermap_cli.geometry.median import median
 from hiermap_cli.geometry.se2 import between, compose, invert, wrap
 from hiermap_cli.mapping.model import Metric
 
@@ -156,7 +157,7 @@ def _track_figures(trajectory: Trajectory, odometry: Array) -> dict[str, float]:
     off = np.linalg.norm(error[:, :2], axis=1)
     return {
         "path_length": float(steps.sum()),
-        "robot_position_sigma_median": float(np.median(sigma)),
+        "robot_position_sigma_median": float(median(sigma)),
         "robot_position_sigma_end": float(sigma[-1]),
         "odometry_correction_end": float(off[-1]),
         "odometry_correction_end_rot": float(abs(wrap(error[-1, 2]))),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -70,7 +70,7 @@ def adrift(area: AreaMap, key: int, sigma: float, sigma_angle: float) -> tuple[A
     Ad = V.error_D_tangent(V.robot)
     P = V.covariance.copy()
     P[where, where] += Ad @ spread @ Ad.T
-    return replace(area, V=replace(V, covariance=P)), uid
+    return area._replace(V=V._replace(covariance=P)), uid
 
 
 def anchor_index(area: AreaMap, uid: int) -> int:

@@ -9,7 +9,6 @@ linear in those of its parts.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -87,7 +86,7 @@ def join(
     C = np.zeros((total, total))
     for p, size in zip(parts, sizes, strict=True):
         C[starts[p] : starts[p] + size, starts[p] : starts[p] + size] = maps[p].V.covariance
-    V = replace(V, poses=X, covariance=symmetrise(J @ C @ J.T))
+    V = V._replace(poses=X, covariance=symmetrise(J @ C @ J.T))
     features, offset = maps[parts[0]].features, [0]
     for p in parts[1:]:
         f = maps[p].features

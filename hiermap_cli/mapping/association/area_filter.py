@@ -209,7 +209,7 @@ def forget_unseen(area: AreaMap, key: int, config: ForgetConfig) -> tuple[AreaMa
     unseen = key - f.last
     drop = (f.kind != ANCHOR) & (f.seen < config.enough) & (unseen > config.patience * f.seen)
     gone = f.uid[drop & (f.kind == WALL)]
-    drop |= (f.kind == END) & np.isin(f.wall, gone)
+    drop |= (f.kind == END) & (f.wall[:, None] == gone).any(axis=1)
     if not drop.any():
         return area, 0
     return forget(area, drop), int(drop.sum())

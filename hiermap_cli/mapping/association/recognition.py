@@ -11,7 +11,7 @@ some path in between.
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -285,8 +285,8 @@ def _seen_from(area: AreaMap, R_h_c: Array, C: Array, middle: Array) -> AreaMap:
     T = se2.additive_D_invariant(pose) if V.coordinates == "additive" else np.eye(3)
     P[:3], P[:, :3] = 0.0, 0.0
     P[:3, :3] = T @ C @ T.T
-    return replace(
-        area, V=replace(V, poses=poses, covariance=P, parameters=np.zeros_like(V.parameters))
+    return area._replace(
+        V=V._replace(poses=poses, covariance=P, parameters=np.zeros_like(V.parameters))
     )
 
 

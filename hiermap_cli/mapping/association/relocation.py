@@ -8,12 +8,12 @@ scan and is well ahead of every different one.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.geometry.median import median
 from hiermap_cli.mapping.area_map import WALL
 
 if TYPE_CHECKING:
@@ -114,8 +114,8 @@ def relocate(
     # Of those as good as the best, the middle: single pairs of short lines are inexact.
     same = ~apart & (score >= 0.9 * score[best])
     pose = poses[best].copy()
-    pose[:2] = np.median(poses[same, :2], axis=0)
-    pose[2] += np.median(se2.wrap(poses[same, 2] - poses[best, 2]))
+    pose[:2] = median(poses[same, :2])
+    pose[2] += median(se2.wrap(poses[same, 2] - poses[best, 2]))
     found = Hypothesis(pose, float(score[best]), total, second)
     clear = (
         found.explained >= config.min_share * total and second <= config.second * found.explained
@@ -136,7 +136,7 @@ def robot_found(V: StochasticMap, pose: Array, config: RelocationConfig) -> Stoc
     P[:3, :3] = Ad @ spread @ Ad.T
     poses = V.poses.copy()
     poses[0] = pose
-    return replace(V, poses=poses, covariance=P)
+    return V._replace(poses=poses, covariance=P)
 
 
 def widened(V: StochasticMap, config: RelocationConfig) -> StochasticMap:
@@ -148,7 +148,7 @@ def widened(V: StochasticMap, config: RelocationConfig) -> StochasticMap:
     Ad = V.error_D_tangent(V.robot)
     P = V.covariance.copy()
     P[:3, :3] += Ad @ spread @ Ad.T
-    return replace(V, covariance=P)
+    return V._replace(covariance=P)
 
 
 def _hypotheses(

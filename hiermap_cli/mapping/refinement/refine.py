@@ -7,7 +7,6 @@ areas are then seen anew in the solution.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -189,7 +188,7 @@ def with_robot(area: AreaMap, frame: Array, robot: Array, extra: Array) -> AreaM
     C[:, :3] = C[:, :3] @ (after @ before).T
     Ad = after @ se2.adjoint(se2.invert(frame))
     C[:3, :3] += Ad @ extra @ Ad.T
-    return replace(area, V=replace(V, poses=poses, covariance=symmetrise(C)))
+    return area._replace(V=V._replace(poses=poses, covariance=symmetrise(C)))
 
 
 def _frame_keys(mapper: Mapper) -> Index:

@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 WIDEST = 1.6  # metres from a point of the path in which a jamb is looked for
 SECTORS = 48
 OPPOSITE = 2  # sectors by which the two jambs may miss opposite directions
-# The sectors that lie across from each.
-ACROSS = (np.arange(SECTORS)[:, None] + np.arange(-OPPOSITE, OPPOSITE + 1) + SECTORS // 2) % SECTORS
+# The sectors that lie across from each, in columns.
+ACROSS = (np.arange(SECTORS) + np.arange(-OPPOSITE, OPPOSITE + 1)[:, None] + SECTORS // 2) % SECTORS
+
+_NOTHING_NEAR = np.full(SECTORS + 1, WIDEST)
 
 
 def narrowest_chord(point: Array, ends: Array, most: float = 2.0 * WIDEST) -> tuple[float, Array]:
@@ -36,19 +38,20 @@ def narrowest_chord(point: Array, ends: Array, most: float = 2.0 * WIDEST) -> tu
     near = (r2 < min(WIDEST, most - shortest) ** 2).nonzero()[0]
     x, y, r = x[near], y[near], np.sqrt(r2[near])
     sector = ((np.arctan2(y, x) + np.pi) * (SECTORS / (2.0 * np.pi))).astype(np.int64)
-    nearest = np.full(SECTORS + 1, WIDEST)
+    nearest = _NOTHING_NEAR.copy()
     np.minimum.at(nearest, sector, r)
     nearest[0] = min(nearest[0], nearest[SECTORS])  # where the angle is pi
     across = nearest[ACROSS]
-    chord = nearest[:SECTORS] + across.min(axis=1)
+    chord = nearest[:SECTORS] + across.min(axis=0)
     i = int(chord.argmin())
     if chord[i] > most:
         return 2.0 * WIDEST, np.array((point, point))
-    j = int(ACROSS[i, across[i].argmin()])
+    j = int(ACROSS[across[:, i].argmin(), i])
     jambs = np.empty((2, 2))
     for k, b in enumerate((j, i)):
         if nearest[b] < WIDEST:
-            at = ((r == nearest[b]) & (sector % SECTORS == b)).argmax()
+            as_near = (r == nearest[b]).nonzero()[0].tolist()
+            at = next(n for n in as_near if sector[n] % SECTORS == b)
             jambs[k] = point[0] + x[at], point[1] + y[at]
         else:
             angle = 2.0 * np.pi * (b + 0.5) / SECTORS - np.pi

@@ -6,7 +6,6 @@ of its odometry; where it is in the other area comes from anchors, from walls, o
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,7 +52,7 @@ def by_anchors(left: AreaMap, out: int, entered: AreaMap, into: int) -> AreaMap:
     i, j = anchor_index(left, out), anchor_index(entered, into)
     R_anchor_r, C = se2.between(V.poses[i], V.robot), relative_covariance(V, i, 0)
     placed = place_robot(entered.V, j, R_anchor_r, C, V.parameters, of_parameters(V))
-    return replace(entered, V=placed)
+    return entered._replace(V=placed)
 
 
 def by_walls(V: StochasticMap, R_h_c: Array, known: AreaMap, config: RelocationConfig) -> AreaMap:
@@ -65,4 +64,4 @@ def by_walls(V: StochasticMap, R_h_c: Array, known: AreaMap, config: RelocationC
     m, P = len(V.parameters), found.covariance.copy()
     P[3 : 3 + m], P[:, 3 : 3 + m] = 0.0, 0.0
     P[3 : 3 + m, 3 : 3 + m] = of_parameters(V)
-    return replace(known, V=replace(found, parameters=V.parameters, covariance=P))
+    return known._replace(V=found._replace(parameters=V.parameters, covariance=P))

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.geometry.median import median
 from hiermap_cli.mapping.association.recognition import Recognised, lately_seen, walls_explained
 from hiermap_cli.mapping.association.relocation import area_lines, explained_length
 from hiermap_cli.mapping.topology.whereabouts import Seen, compared, seen_lately, settled
@@ -205,7 +206,7 @@ def constellations(lines: Lines, view: SegmentView) -> Array:
     order = np.lexsort((first, -total))[:SCORED]
     best = poses[first[order]].copy()
     for k, cell in enumerate(order.tolist()):
-        best[k, :2] = np.median(poses[at.ravel() == cell, :2], axis=0)
+        best[k, :2] = median(poses[at.ravel() == cell, :2])
     return best
 
 

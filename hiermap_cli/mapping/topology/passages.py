@@ -20,7 +20,7 @@ import numpy as np
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.topology.chords import chord_frame, narrowest_chord
 from hiermap_cli.mapping.topology.door_evidence import WIDER, is_door, longest_reach, reach_of
-from hiermap_cli.mapping.topology.passers import gone_over
+from hiermap_cli.mapping.topology.passers import gone_over, went_over
 from hiermap_cli.mapping.topology.trace import NEAR
 
 if TYPE_CHECKING:
@@ -123,7 +123,8 @@ class PassageDetector:
         ends = trace.near.since(recent)
         width, jambs = narrowest_chord(point, ends, most)
         way = trace.way.since(0)
-        if width < self.config.min_width or (width <= most and gone_over(jambs, way).all()):
+        crossed = width <= most and all(went_over(jamb, way) for jamb in jambs)
+        if width < self.config.min_width or crossed:
             # No robot goes through there: who walks before it is on its path, and no jamb.
             ends = ends[~gone_over(ends, way)]
             width, jambs = narrowest_chord(point, ends, most)

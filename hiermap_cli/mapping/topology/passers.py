@@ -105,6 +105,12 @@ def gone_over(points: Array, way: Array) -> Mask:
     return np.asarray(far2.min(axis=1) + np.square(points).sum(axis=1) < OVER * OVER)
 
 
+def went_over(point: Array, way: Array) -> bool:
+    """`gone_over` of one point (2,), without the cost of a product of matrices."""
+    x, y = way[:, 0] - point[0], way[:, 1] - point[1]
+    return bool((x * x + y * y).min() < OVER * OVER)
+
+
 @dataclass(slots=True)
 class Passers:
     """Compares each scan with the last ones before it, both ways."""

@@ -135,12 +135,15 @@ def farther_along(
     poses = np.repeat(start, len(steps), axis=0)
     poses[:, 0] += np.outer(np.cos(along), steps).ravel()
     poses[:, 1] += np.outer(np.sin(along), steps).ravel()
-    share, against = compared(seen(grid), there, poses)
-    stays = float(against[ALONG])
+    here = seen(grid)
+    stays = float(compared(here, there, start[:1]).against[0])
+    if stays <= c.max_against:
+        return False
+    share, against = compared(here, there, poses)
     against[share <= c.min_seen] = 1.0
     against[ALONG - APART : ALONG + APART + 1] = 1.0  # facing as it does: no other place
     best = float(against.min())
-    return stays > c.max_against >= best and stays >= c.clear * max(best, c.floor)
+    return best <= c.max_against and stays >= c.clear * max(best, c.floor)
 
 
 def settled(lines: Lines, view: SegmentView, poses: Array, config: RelocationConfig) -> Array:
