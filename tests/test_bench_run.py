@@ -78,8 +78,9 @@ def test_start(benchmark):
 
 
 @pytest.mark.skipif(not FR079.exists(), reason="no real logs here")
-def test_run_on_fr079(benchmark, tmp_path):
-    run_and_note(benchmark, FR079, tmp_path / "out", rounds=3)
+@pytest.mark.parametrize("options", [("--no-refine",), ()], ids=["filter", "refined"])
+def test_run_on_fr079(benchmark, tmp_path, options):
+    run_and_note(benchmark, FR079, tmp_path / "out", 5, *options)
 
 
 def test_run_on_the_ring(benchmark, tmp_path):
