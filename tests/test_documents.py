@@ -29,6 +29,7 @@ from hiermap_cli.documents.checks import (
 )
 from hiermap_cli.documents.model_file import model_json
 from hiermap_cli.documents.model_load import load_model
+from hiermap_cli.documents.results import write_result
 from hiermap_cli.documents.schema import SHAPES, schema_text, shipped_schema
 from hiermap_cli.documents.trajectories import (
     read_covariances,
@@ -176,6 +177,14 @@ def test_filter_trajectory_differs_where_it_should(folder):
         read_tum(folder / "trajectory_filter.tum"),
     )
     np.testing.assert_allclose(by_filter.poses[:, 0] - final.poses[:, 0], 0.01, atol=3e-9)
+
+
+def test_by_the_filter_alone_both_trajectories_are_one(tmp_path):
+    result = sample_result()
+    write_result(tmp_path, replace(result, trajectory_filter=result.trajectory))
+    written = (tmp_path / "trajectory_filter.tum").read_bytes()
+    assert written == (tmp_path / "trajectory.tum").read_bytes()
+    assert len(written.splitlines()) == len(result.trajectory.stamps_ns)
 
 
 def test_many_lines_are_written_in_chunks():

@@ -175,6 +175,16 @@ def test_malformed_lines_are_counted_and_cost_nothing_else(tmp_path, line):
     assert recording.report().dropped == {"malformed_line": 1}
 
 
+def test_the_reach_is_that_of_the_first_scans_that_can_be_read(tmp_path):
+    """Beams that see nothing say 29.99 here: told by whole lines, and broken ones between them."""
+    far = [flaser(i).replace("1.5 1.5 1.5 1.5", "1.5 29.99 1.5 2.5") for i in range(1, 30)]
+    broken = ["FLASER 4 1.5", "FLASER x 1 2 3", *far]
+    _, (block,) = read(tmp_path, *broken)
+    assert block.laser.range_max == pytest.approx(29.99)
+    assert np.isinf(block.ranges[:, 1]).all()
+    assert np.isfinite(block.ranges[:, [0, 2, 3]]).all()
+
+
 def test_lines_that_are_no_records_are_counted(tmp_path):
     lines = [flaser(1), "hello world", "", "# FLASER 4", "WIFI 1 2 3", flaser(2), "\x01\x02"]
     recording, (block,) = read(tmp_path, *lines)

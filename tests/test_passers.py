@@ -8,7 +8,14 @@ import pytest
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.topology.again import STAYED, ended_about
 from hiermap_cli.mapping.topology.near_ends import NearEnds
-from hiermap_cli.mapping.topology.passers import Passers, gone_over, looked, seen_through
+from hiermap_cli.mapping.topology.passers import (
+    OVER,
+    Passers,
+    gone_over,
+    looked,
+    seen_through,
+    went_over,
+)
 
 BEARINGS = np.radians(np.arange(-130.0, 130.5, 1.5))
 PERSON = 0.25  # metres of radius
@@ -125,6 +132,17 @@ def test_the_robot_goes_over_no_jamb():
     path = np.array([[0.0, 0.0], [0.2, 0.0], [0.4, 0.0]])
     points = np.array([[0.2, 0.1], [0.2, 0.4], [0.7, 0.0]])
     assert gone_over(points, path).tolist() == [True, False, False]
+    assert [went_over(point, path) for point in points] == [True, False, False]
+
+
+def test_one_point_is_gone_over_as_many_are():
+    rng = np.random.default_rng(5)
+    path = np.cumsum(rng.normal(scale=0.2, size=(30, 2)), axis=0)
+    points = path[rng.integers(30, size=200)] + rng.normal(scale=OVER, size=(200, 2))
+    told = gone_over(points, path)
+    assert told.any()
+    assert not told.all()
+    assert [went_over(point, path) for point in points] == told.tolist()
 
 
 def test_scans_that_ended_near_a_point_are_told_for_all_points_at_once():

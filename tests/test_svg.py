@@ -91,6 +91,16 @@ def test_names_are_text_and_no_markup():
     assert "<D&1>" in texts(drawn(replace(model, environment=environment)))
 
 
+def test_a_label_lies_in_the_widest_part_of_an_area():
+    """An L whose corner is the widest place of it, and a sliver that no point of the grid is in."""
+    hook = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, 1.0], [3.0, 3.0], [1.0, 8.0], [0.0, 8.0]])
+    x, y = svg._inner_point(hook)
+    assert 1.0 < x < 2.0
+    assert 1.0 < y < 2.0
+    sliver = np.array([[0.0, 0.0], [5.0, 10.0], [10.0, 0.0], [5.0, 9.999]])
+    assert svg._inner_point(sliver) == pytest.approx(sliver.mean(axis=0))
+
+
 def test_labels_never_lie_on_each_other():
     labels = svg._Labels()
     for name in ("A1", "A2", "A3"):
