@@ -41,6 +41,7 @@ MAPPING = [
     "levels",
     "filtering",
     "mapper",
+    "taken",
     "topology",
     "odometry",
     "association",

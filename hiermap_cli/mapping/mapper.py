@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from hiermap_cli.mapping.odometry.carried import Carried
 from hiermap_cli.mapping.odometry.driving import Driving
 from hiermap_cli.mapping.odometry.stepping import Stepper, matched_walls
 from hiermap_cli.mapping.odometry.stretches import Stretches
+from hiermap_cli.mapping.taken import Astray, Counts, Scan
 from hiermap_cli.mapping.topology.crossing import Crossings, Passing
 from hiermap_cli.mapping.topology.lost import moved, through_walls
 from hiermap_cli.mapping.topology.whereabouts import farther_along
@@ -36,66 +37,11 @@ if TYPE_CHECKING:
     from hiermap_cli.logs.records import ScanBlock
     from hiermap_cli.mapping.odometry.direction import Branch, Drive
     from hiermap_cli.mapping.portals import Portal
-    from hiermap_cli.perception.sight import Sight
-    from hiermap_cli.perception.views import SegmentView
 
     Array = NDArray[np.float64]
 
 FORGET_EVERY = 10
 TOLD_EVERY = 32  # scans after which a progress is told
-
-
-@dataclass(slots=True)
-class Counts:
-    """What the run's metrics are made of."""
-
-    keys: int = 0
-    offered: int = 0
-    matched: int = 0
-    failed: int = 0
-    forgotten: int = 0
-    nis: float = 0.0
-    degrees: int = 0
-
-    def copy(self) -> Counts:
-        """As they are now. Written out: `dataclasses.replace` takes ten times as long."""
-        return Counts(
-            self.keys, self.offered, self.matched, self.failed, self.forgotten, self.nis,
-            self.degrees,
-        )  # fmt: skip
-
-
-class Scan(NamedTuple):
-    """A scan as it comes: its stamp, the odometry (3,) then, ranges (n,), and place in a block."""
-
-    stamp_ns: int
-    odometry: Array
-    ranges: Array
-    seen: SeenBlock
-    place: int
-
-    @property
-    def view(self) -> SegmentView:
-        """Its segments."""
-        return self.seen.view(self.place)
-
-    @property
-    def sight(self) -> Sight:
-        """The space that it tells of."""
-        return self.seen.sight(self.place)
-
-
-class Astray(NamedTuple):
-    """A key scan that fits nothing where the robot is believed to be.
-
-    area: the number of the area. travelled: metres of path before it. counts: those before it.
-    """
-
-    now: Scan
-    drive: Drive
-    area: int
-    travelled: float
-    counts: Counts
 
 
 @dataclass(slots=True)
