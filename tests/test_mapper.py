@@ -202,18 +202,6 @@ def everything(mapper, result):
     return [np.ascontiguousarray(x).tobytes() for x in out]
 
 
-def test_noise_is_learnt_in_one_area():
-    """Where a robot goes through a door, the walls behind it tell of the noise as well."""
-    _, blocks = log_of("room_corridor")
-    mapper = Mapper(Config(), one_area=True)
-    for block in blocks:
-        mapper.take(block)
-    mapper.finish()
-    assert len(run("room_corridor")[1].areas) > len(mapper.areas) == 1
-    assert not mapper.portals
-    assert mapper.counts.failed == 0
-
-
 def test_two_runs_give_the_same_bytes():
     _, blocks = log_of("room_corridor")
     one, other = (everything(*filtered(cut(blocks, 150))) for _ in range(2))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import scipy.stats
 from estimation_cases import gain_of, random_covariance
+from world_cases import TWO_ROOMS, world_of
 
-from hiermap_cli.config import NoiseConfig
+from hiermap_cli.config import Config, NoiseConfig
 from hiermap_cli.estimation.gaussian import condition
 from hiermap_cli.estimation.noise import (
     WORST,
@@ -17,6 +18,8 @@ from hiermap_cli.estimation.noise import (
     residual_factor,
     surprise,
 )
+from hiermap_cli.mapping.mapper import Mapper
+from hiermap_cli.simulation.simulator import simulate
 
 CONFIG = NoiseConfig(odometry_range=(0.02, 30.0), walls_range=(1e-4, 10.0))
 
@@ -157,3 +160,18 @@ def test_a_few_fits_do_not_tell_it_either_and_bounds_hold():
     chi2, degrees = fits(4, 1e6)
     assert residual_factor(chi2, degrees, CONFIG) == CONFIG.laser_range[1]
     assert residual_factor(0.0 * chi2, degrees, CONFIG) == CONFIG.laser_range[0]
+
+
+def test_it_is_learnt_in_one_area():
+    """Where a robot goes through a door, the walls behind it tell of the noise as well."""
+    simulation = simulate(world_of(TWO_ROOMS), np.random.default_rng(1))
+    by_doors, in_one = Mapper(Config()), Mapper(Config(), one_area=True)
+    for mapper in (by_doors, in_one):
+        for block in simulation.blocks():
+            mapper.take(block)
+        mapper.finish()
+    assert len(by_doors.areas) == 2
+    assert len(in_one.areas) == 1
+    assert not in_one.portals
+    assert in_one.counts.keys == by_doors.counts.keys
+    assert in_one.counts.failed == 0
