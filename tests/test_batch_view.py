@@ -15,7 +15,6 @@ from rich.console import Console
 from hiermap_cli.batch.job import ConfigChoice, Job, Outcome
 from hiermap_cli.batch.summary import Tally
 from hiermap_cli.commands.batch_view import (
-    BatchView,
     PlainView,
     TerminalView,
     make_view,
@@ -90,8 +89,20 @@ def test_names_and_reasons_stay_on_one_line():
     assert "\x1b" not in outcome_line(BAD._replace(reason="a\nb\x1b[31m"))
 
 
-def test_quiet_says_nothing(tmp_path):
-    assert type(make_view(quiet=True, verbose=False, output=Path("out"))) is BatchView
+def test_quiet_names_the_jobs_that_are_not_done(capsys):
+    view = make_view(quiet=True, verbose=True, output=Path("out"))
+    view.planned(4, 1, 2)
+    for outcome in (GOOD, GOOD._replace(kept=True), BAD):
+        view.finished(outcome)
+    late = GOOD._replace(status="limit_missed", reason="ate_rmse<=1 is missed: 2", kept=True)
+    view.finished(late)
+    view.warned("a warning")
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.splitlines() == [f"hiermap: {outcome_line(BAD)}", f"hiermap: {outcome_line(late)}"]
+
+
+def test_quiet_says_nothing_where_all_is_well(tmp_path):
     log = small_log(tmp_path / "a.log")
     done = batch(jobs_of([log], tmp_path / "jobs.yaml"), "-o", tmp_path / "out", "-q")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -91,7 +91,9 @@ def _shard(ctx: click.Context, param: click.Parameter, text: str | None) -> Shar
     help="Do the jobs on a Dask cluster, as in tcp://HOST:8786, instead of --workers.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print summary.json on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Nothing on stderr but errors.")
+@click.option(
+    "-q", "--quiet", is_flag=True, help="Nothing on stderr but errors: jobs that are not done."
+)
 @click.option("-v", "--verbose", is_flag=True, help="Every job's time and memory on stderr.")
 def command(
     jobs_file: Path,

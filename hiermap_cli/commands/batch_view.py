@@ -34,9 +34,18 @@ class BatchView(Closing, View):
 def make_view(*, quiet: bool, verbose: bool, output: Path) -> BatchView:
     """The view that fits where stderr goes."""
     if quiet:
-        return BatchView()
+        return QuietView()
     kind = TerminalView if sys.stderr.isatty() else PlainView
     return kind(verbose, output)
+
+
+class QuietView(BatchView):
+    """A line for each job that failed or missed a limit: what the exit status speaks of."""
+
+    def finished(self, outcome: Outcome) -> None:
+        """One line, if the job is not done."""
+        if outcome.status != "done":
+            click.echo(f"hiermap: {outcome_line(outcome)}", err=True)
 
 
 class PlainView(BatchView):
