@@ -71,17 +71,19 @@ def test_lines_elsewhere(capsys):
     view.finished(GOOD._replace(kept=True))
     view.finished(GOOD)
     view.finished(BAD)
+    view.finished(BAD._replace(status="limit_missed", reason="areas<=3: it is 4", kept=True))
     view.warned("a\nwarning")
     view.ended(Tally(2, 0, 1))
     lines = capsys.readouterr().err.splitlines()
-    assert lines[:4] == [
+    assert lines[:5] == [
         "2 jobs on 1 worker, 1 done before",
         "[1/2] night/a: done, 3.21 s, 64.2 MB",
         "[2/2] night/b: failed: its worker was killed by SIGKILL, 1 s",
+        "night/b: limit missed, kept: areas<=3: it is 4, 1 s",
         "warning: a warning",
     ]
-    assert lines[4].startswith("3 jobs: 2 done, 1 failed, in ")
-    assert lines[5] == "results: out"
+    assert lines[5].startswith("3 jobs: 2 done, 1 failed, in ")
+    assert lines[6] == "results: out"
 
 
 def test_names_and_reasons_stay_on_one_line():
@@ -94,7 +96,7 @@ def test_quiet_names_the_jobs_that_are_not_done(capsys):
     view.planned(4, 1, 2)
     for outcome in (GOOD, GOOD._replace(kept=True), BAD):
         view.finished(outcome)
-    late = GOOD._replace(status="limit_missed", reason="ate_rmse<=1 is missed: 2", kept=True)
+    late = GOOD._replace(status="limit_missed", reason="ate_rmse<=1: it is 2", kept=True)
     view.finished(late)
     view.warned("a warning")
     out, err = capsys.readouterr()

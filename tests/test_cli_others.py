@@ -12,8 +12,9 @@ import pytest
 from samples import hiermap, program, write_sample
 
 from hiermap_cli import __version__
+from hiermap_cli.batch.run_log import default_output
 from hiermap_cli.commands.main import COMMANDS
-from hiermap_cli.errors import EXIT_INPUT, EXIT_OK, EXIT_USAGE
+from hiermap_cli.errors import EXIT_INPUT, EXIT_OK, EXIT_USAGE, UsageError
 
 
 def test_version_and_help():
@@ -166,3 +167,24 @@ def test_validate_prints_schemas():
     status, out, _ = hiermap("validate", "--schema", "model")
     assert status == EXIT_OK
     assert json.loads(out)["$id"] == "urn:hiermap:model:1"
+
+
+def test_default_output_of_a_folder_that_is_named_by_its_place(tmp_path, monkeypatch):
+    recording = tmp_path / "recording"
+    (recording / "parts").mkdir(parents=True)
+    monkeypatch.chdir(recording)
+    for name in (".", "./", "parts/.."):
+        assert default_output(Path(name)) == tmp_path / "recording.hiermap"
+    assert default_output(Path("..")) == tmp_path.with_name(tmp_path.name + ".hiermap")
+    with pytest.raises(UsageError, match="-o"):
+        default_output(Path("/"))
+
+
+def test_what_was_not_evaluated_cannot_be_compared(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write_sample(tmp_path / name)
+    status, out, err = hiermap("compare", tmp_path / "a", tmp_path / "b")
+    assert (status, out) == (EXIT_INPUT, "")
+    assert "a: holds no eval.json; measure the run with `hiermap eval` first" in err
+    assert len(err.splitlines()) == 1

@@ -207,13 +207,31 @@ def test_a_part_is_converted(tmp_path):
 def test_convert_replaces_nothing_without_force(tmp_path):
     (path,) = cases.FORMATS["carmen"](tmp_path)
     target = tmp_path / "x.mcap"
-    target.write_text("precious")
-    result = hiermap("convert", path, "-o", target)
+    assert hiermap("convert", path, "-o", target).exit_code == 0
+    before = target.read_bytes()
+    result = hiermap("convert", path, "-o", target, "--end", "1")
     assert result.exit_code == 2
     assert "--force" in result.stderr
-    assert target.read_text() == "precious"
-    assert hiermap("convert", path, "-o", target, "--force").exit_code == 0
-    assert blocks([target])
+    assert target.read_bytes() == before
+    assert hiermap("convert", path, "-o", target, "--end", "1", "--force").exit_code == 0
+    assert sum(map(len, blocks([target]))) < sum(map(len, blocks([path])))
+
+
+def test_convert_replaces_nothing_that_it_has_not_written(tmp_path):
+    (path,) = cases.FORMATS["carmen"](tmp_path)
+    (tmp_path / "other").mkdir()
+    (foreign,) = cases.FORMATS["mcap zstd"](tmp_path / "other")
+    text = tmp_path / "x.mcap"
+    text.write_text("precious")
+    for target in (foreign, text):
+        before = target.read_bytes()
+        result = hiermap("convert", path, "-o", target, "--force")
+        assert result.exit_code == 2
+        assert "never replaced" in result.stderr
+        assert target.read_bytes() == before
+    text.write_text("")
+    assert hiermap("convert", path, "-o", text, "--force").exit_code == 0
+    assert blocks([text])
 
 
 def test_convert_does_not_write_over_its_own_log(tmp_path):

@@ -91,7 +91,7 @@ def test_a_foreign_file_is_never_removed(tmp_path, name, text, said, force):
     with pytest.raises(UsageError) as caught:
         write(tmp_path / "out", "2", force=force)
     assert said in str(caught.value)
-    assert "--force does not replace that" in str(caught.value)
+    assert "is never replaced: move it elsewhere" in str(caught.value)
     assert (tmp_path / "out" / name).read_text() == text
     assert names(tmp_path) == ["out"]
 

@@ -63,6 +63,8 @@ def lock_folder(folder: Path, shard: Shard) -> Iterator[tuple[int, ...]]:
         UsageError: another batch works there, or the folder cannot be written.
     """
     with ExitStack() as stack:
+        if os.path.lexists(folder) and not folder.is_dir():
+            raise UsageError(f"{folder}: is a file, not a folder; choose another output folder")
         try:
             folder.mkdir(parents=True, exist_ok=True)
             handles = _held(stack, folder, shard)

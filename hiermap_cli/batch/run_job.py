@@ -27,6 +27,7 @@ from hiermap_cli.batch.memory import peak_bytes
 from hiermap_cli.batch.remote import fetch, remote_state, remove, shown
 from hiermap_cli.batch.run_log import MappedLog, Observer, RunOutcome
 from hiermap_cli.config import Config
+from hiermap_cli.documents.eval_text import found
 from hiermap_cli.documents.folder import check_output, output_folder
 from hiermap_cli.documents.own_files import Contents, document
 from hiermap_cli.documents.results import RESULT
@@ -229,6 +230,7 @@ class _Work:
         """The row of summary.json, but for the name; and what the reports beside it show."""
         values = dict(facts["metrics"])
         limits: list[dict[str, Any]] = []
+        missed: list[str] = []
         warnings = list(facts["warnings"])
         if document is not None:
             warnings += document.warnings
@@ -237,23 +239,18 @@ class _Work:
                 {"text": one.text, "value": one.value, "passed": one.passed}
                 for one in document.limits
             ]
-        missed = [one for one in limits if not one["passed"]]
+            missed = [
+                f"{one.text}: {found(one, document)}" for one in document.limits if not one.passed
+            ]
         return {
             "status": "limit_missed" if missed else "done",
-            "reason": "; ".join(_missed(one) for one in missed) or None,
+            "reason": "; ".join(missed) or None,
             **facts,
             "metrics": values,
             "warnings": warnings,
             "limits": limits,
             "files": sorted(one.name for one in folder.iterdir()),
         }
-
-
-def _missed(limit: dict[str, Any]) -> str:
-    value = limit["value"]
-    return f"{limit['text']} is missed: " + (
-        f"it is {value:.6g}" if value is not None else "it could not be measured"
-    )
 
 
 def _same_file(path: Path, new: Path) -> None:

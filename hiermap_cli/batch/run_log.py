@@ -12,6 +12,7 @@ import numpy as np
 from hiermap_cli.documents.folder import check_output, output_folder
 from hiermap_cli.documents.report_file import report_json
 from hiermap_cli.documents.results import REPORT, RESULT, write_result
+from hiermap_cli.errors import UsageError
 from hiermap_cli.logs.expected import expected_scans
 from hiermap_cli.logs.recording import open_recording
 from hiermap_cli.mapping.metrics import model_metrics, trajectory_metrics
@@ -70,7 +71,14 @@ class RunOutcome:
 
 
 def default_output(log: Path) -> Path:
-    """The log's own path with the ending .hiermap instead of its own."""
+    """The log's own path with the ending .hiermap instead of its own.
+
+    Raises UsageError where the log is the root of the file system, beside which nothing is.
+    """
+    if log.name in ("", ".."):  # as in `.` and `recording/..`
+        log = log.resolve()
+    if not log.name:
+        raise UsageError(f"{log}: has nothing beside it; name an output folder with -o")
     while log.suffix.lower() in _LOG_ENDINGS:
         log = log.with_suffix("")
     return log.with_name(log.name + ENDING)

@@ -94,7 +94,9 @@ def _shard(ctx: click.Context, param: click.Parameter, text: str | None) -> Shar
 @click.option(
     "-q", "--quiet", is_flag=True, help="Nothing on stderr but errors: jobs that are not done."
 )
-@click.option("-v", "--verbose", is_flag=True, help="Every job's time and memory on stderr.")
+@click.option(
+    "-v", "--verbose", is_flag=True, help="Jobs that were kept, too; tracebacks on stderr."
+)
 def command(
     jobs_file: Path,
     output: Path,

@@ -49,7 +49,7 @@ class QuietView(BatchView):
 
 
 class PlainView(BatchView):
-    """Lines, for a file or a pipe: one a job that was done, none for those that were kept."""
+    """Lines, for a file or a pipe: one a job, but none for those that are well and were kept."""
 
     def __init__(self, verbose: bool, output: Path) -> None:
         self._verbose = verbose
@@ -63,8 +63,8 @@ class PlainView(BatchView):
         self._line(_plan(jobs, kept, workers))
 
     def finished(self, outcome: Outcome) -> None:
-        """One line for each job that was done now."""
-        if outcome.kept and not self._verbose:
+        """One line for each job that was done now, or that missed a limit."""
+        if outcome.kept and outcome.status == "done" and not self._verbose:
             return
         self._count += not outcome.kept
         number = "" if outcome.kept else f"[{self._count}/{self._planned}] "

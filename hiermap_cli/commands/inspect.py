@@ -150,8 +150,9 @@ def _topic_cells(topic: TopicAudit) -> dict[str, str]:
 
 def _use_rows(use: UseAudit) -> Iterator[tuple[str, str]]:
     laser = use.laser
-    yield "scans", f"{use.scan_topic}: {use.scans}, every {use.scan_period:.3f} s"
-    yield "odometry", f"{use.odometry_topic}: {use.odometry}, every {use.odometry_period:.3f} s"
+    every, reading = (f"every {s:.2g} s or so" for s in (use.scan_period, use.odometry_period))
+    yield "scans", f"{use.scan_topic}: {use.scans}, {every}"
+    yield "odometry", f"{use.odometry_topic}: {use.odometry}, {reading}"
     yield "time", f"{use.first} to {use.last}, {use.duration:.1f} s, by {_CLOCKS[use.clock]}"
     yield "path", f"{use.path_length:.1f} m by odometry"
     yield "mount", f"{_mount_text(laser.mount)} ({laser.mount_source})"

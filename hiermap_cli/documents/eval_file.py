@@ -131,7 +131,10 @@ def read_eval(path: Path) -> EvalDocument:
     Raises:
         InputError: it cannot be read, is of another format or newer, or does not hold together.
     """
-    path = path / EVAL if path.is_dir() else path
+    if path.is_dir():
+        if not (path / EVAL).exists():
+            raise InputError(f"{path}: holds no {EVAL}; measure the run with `hiermap eval` first")
+        path /= EVAL
     shape = read_shape(path, EvalShape, FORMAT, VERSION)
     faults = eval_faults(shape)
     if faults:

@@ -17,12 +17,17 @@ _NAMED = 20  # things that are named in a line; the rest are counted
 
 def said_of(limit: LimitOutcome, document: EvalDocument) -> str:
     """What became of a limit, in words; of what was not measured with the reason."""
-    if limit.value is None:
-        reasons = {one.name: one.reason for one in document.unmeasured}
-        reason = reasons.get(limit.metric) or _unknown(limit.metric, document)
-        return f"{limit.text}: could not be measured: {reason}"
-    state = "holds" if limit.passed else "missed"
-    return f"{limit.text}: {state}, it is {figure(limit.value)}"
+    state = "" if limit.value is None else "holds, " if limit.passed else "missed, "
+    return f"{limit.text}: {state}{found(limit, document)}"
+
+
+def found(limit: LimitOutcome, document: EvalDocument) -> str:
+    """What was found of a limit's metric: its value, or why there is none."""
+    if limit.value is not None:
+        return f"it is {figure(limit.value)}"
+    reasons = {one.name: one.reason for one in document.unmeasured}
+    reason = reasons.get(limit.metric) or _unknown(limit.metric, document)
+    return f"could not be measured: {reason}"
 
 
 def _unknown(name: str, document: EvalDocument) -> str:

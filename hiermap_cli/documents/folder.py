@@ -84,7 +84,7 @@ def _check_contents(folder: Path, shown: Path, contents: Contents, *, force: boo
         raise output_error(shown, error) from None
     if fault is not None:
         raise UsageError(
-            f"{shown}: {fault}; --force does not replace that: "
+            f"{shown}: {fault} and is never replaced: "
             "move it elsewhere or choose another output folder"
         )
     if not force:

@@ -83,10 +83,8 @@ def _check_json(path: Path) -> Verdict:
     given = document.get("format") if isinstance(document, dict) else None
     known = _JSON.get(given) if isinstance(given, str) else None
     if known is None or not isinstance(given, str):
-        raise InputError(
-            f"{path}: no document of hiermap: its format key is {given!r}; known are "
-            + ", ".join(FORMATS)
-        )
+        its = "it has no format key" if given is None else f"its format key is {given!r}"
+        raise InputError(f"{path}: no document of hiermap: {its}; known are {', '.join(FORMATS)}")
     check_format(path, document, given, known.version)
     kind = f"{given} {'.'.join(map(str, document['version']))}"
     # What eval refuses is said in eval's words; other documents hold no numbers that are none.

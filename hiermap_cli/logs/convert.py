@@ -14,7 +14,8 @@ import numpy as np
 
 from hiermap_cli.errors import UsageError
 from hiermap_cli.logs.join import plausible, sound_geometry
-from hiermap_cli.logs.mcap_writer import RosMcapWriter
+from hiermap_cli.logs.mcap_walk import MAGIC
+from hiermap_cli.logs.mcap_writer import WRITER, RosMcapWriter
 from hiermap_cli.logs.records import Odometry
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 ENDING = ".mcap"
 
+_HEAD = 1024  # bytes of an MCAP that hold the beginning of its header
 _EVERY = 256  # scans between reports of progress
 
 
@@ -55,6 +57,21 @@ def check_target(target: Path, *, overwrite: bool) -> None:
         raise UsageError(f"{target}: exists already; --force replaces it")
 
 
+def _is_ours(path: Path) -> bool:
+    """Whether a file is empty, or an MCAP whose header names this program as its writer."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError:
+        return False
+    # After the magic the header's opcode and length, then two strings: the profile, the writer.
+    at = len(MAGIC) + 1 + 8
+    if not head.startswith(MAGIC) or len(head) < at + 8:
+        return not head
+    at += 4 + int.from_bytes(head[at : at + 4], "little")
+    return head[at + 4 :].startswith(WRITER.encode())
+
+
 def convert(
     recording: Recording,
     target: Path,
@@ -73,6 +90,10 @@ def convert(
     real = target.resolve()
     if any(path.resolve() == real for path in recording.source.paths):
         raise UsageError(f"{target}: is the log itself; choose another name")
+    if target.exists() and not _is_ours(target):
+        raise UsageError(
+            f"{target}: is none that hiermap wrote and is never replaced: choose another name"
+        )
     scans = odometry = 0
     laser = recording.plan.first_laser
     with RosMcapWriter(target, recording.mount, overwrite=overwrite) as writer:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from hiermap_cli.logs.records import LaserGeometry
 
+WRITER = "hiermap"  # by which a file that this program wrote is known
 SCAN_TOPIC, ODOMETRY_TOPIC, STATIC_TOPIC = "/scan", "/odom", "/tf_static"
 ODOMETRY_FRAME, BASE_FRAME, LASER_FRAME = "odom", "base_link", "laser"
 
@@ -65,7 +66,7 @@ class RosMcapWriter:
         except OSError as error:
             raise self._refused(error) from error
         self._writer = Writer(self._file)
-        self._writer.start(profile="ros2", library=f"hiermap {__version__}")
+        self._writer.start(profile="ros2", library=f"{WRITER} {__version__}")
         return self
 
     def __exit__(

@@ -61,7 +61,7 @@ def _listed(folder: Path, losses: list[str]) -> list[Path]:
 
     path = folder / METADATA
     if not path.is_file():
-        losses.append(f"{folder.name}: no {METADATA}: all files there are read")
+        losses.append(f"{folder.resolve().name}: no {METADATA}: all files there are read")
         return []
     try:
         document: Any = yaml.safe_load(path.read_bytes())
