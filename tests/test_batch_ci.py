@@ -97,7 +97,7 @@ def test_a_limit_that_is_missed_fails_the_job(published, tmp_path):
     shutil.copytree(place / "out", tmp_path / "out")  # as CI restores what it has kept
     done = batch(tmp_path / "jobs.yaml", "-o", tmp_path / "out", "--workers", 2)
     assert done.returncode == 3, done.stderr
-    assert "ate_rmse<=0.000001 is missed" in done.stderr
+    assert "limit missed: ate_rmse<=0.000001: it is 0.0" in done.stderr
 
 
 def test_our_own_ci_runs_it():
