@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 ENDING = ".mcap"
 
+_FOREIGN = "hiermap did not write it and never replaces it: choose another name"
 _HEAD = 1024  # bytes of an MCAP that hold the beginning of its header
 _EVERY = 256  # scans between reports of progress
 
@@ -54,7 +55,9 @@ def check_target(target: Path, *, overwrite: bool) -> None:
     if target.exists() and not target.is_file():
         raise UsageError(f"{target}: is no regular file; choose another name")
     if target.exists() and not overwrite:
-        raise UsageError(f"{target}: exists already; --force replaces it")
+        # What --force would not help against is said first.
+        way_out = "--force replaces it" if _is_ours(target) else _FOREIGN
+        raise UsageError(f"{target}: exists already; {way_out}")
 
 
 def _is_ours(path: Path) -> bool:
@@ -69,7 +72,7 @@ def _is_ours(path: Path) -> bool:
     if not head.startswith(MAGIC) or len(head) < at + 8:
         return not head
     at += 4 + int.from_bytes(head[at : at + 4], "little")
-    return head[at + 4 :].startswith(WRITER.encode())
+    return head[at + 4 :].startswith(f"{WRITER} ".encode())
 
 
 def convert(
@@ -91,9 +94,7 @@ def convert(
     if any(path.resolve() == real for path in recording.source.paths):
         raise UsageError(f"{target}: is the log itself; choose another name")
     if target.exists() and not _is_ours(target):
-        raise UsageError(
-            f"{target}: is none that hiermap wrote and is never replaced: choose another name"
-        )
+        raise UsageError(f"{target}: {_FOREIGN}")
     scans = odometry = 0
     laser = recording.plan.first_laser
     with RosMcapWriter(target, recording.mount, overwrite=overwrite) as writer:
