@@ -42,7 +42,8 @@ def run_filter(
 def learn_noise(stream: Iterator[ScanBlock], config: Config) -> tuple[list[SeenBlock], NoiseScale]:
     """The blocks at the log's beginning, and how large the noise is by a first run over them.
 
-    The first run is in one area, whatever doors it goes through. So that the first walls are not entered with a noise that later proves wrong.
+    So that the first walls are not entered with a noise that later proves wrong. The first run is
+    in one area, whatever doors lie on the way: the walls behind them tell of the noise as well.
     """
     first: list[SeenBlock] = []
     if not config.noise.estimate or not config.noise.warm_up:
