@@ -38,8 +38,9 @@ def long_way():
 TIGHT = np.diag([0.003, 0.003, 1e-4])
 
 
-def verdict_of(loops, net, **found):
+def verdict_of(loops, net, leaps=None, **found):
     n = len(loops.i)
+    leaps = np.zeros(len(net.frames), dtype=np.int64) if leaps is None else leaps
 
     def column(name, default):
         return np.array(found.get(name, [default] * n))
@@ -50,7 +51,7 @@ def verdict_of(loops, net, **found):
     )  # fmt: skip
     zero = np.zeros(n)
     found = Found(loops, evidence, column("second", 0.0), zero, column("crossing", 0.0))
-    return judge(found, net, LOOPS)
+    return judge(found, net, leaps, LOOPS)
 
 
 def believed(verdict):
@@ -157,6 +158,41 @@ def test_several_constellations_in_one_loop_need_no_witness_where_they_are_expec
     sigma = np.sqrt(long_way.relative(np.array([2]), np.array([57]))[0, 0, 0])
     off = loops_of(long_way, [(2, 57)], (1.5 * sigma, 0.0, 0.0), TIGHT)
     assert not believed(verdict_of(off, long_way, **strong)).any()
+
+
+def astray(net):
+    """The ways when a step in the middle has lost the heading: the ends lie anywhere."""
+    path = Edges(
+        np.arange(59), np.arange(1, 60), se2.between(net.frames[:-1], net.frames[1:]),
+        np.repeat(np.diag([0.01, 0.01, 1e-4])[None], 59, axis=0),
+    )  # fmt: skip
+    path.C_i_j[29] += np.diag([0.1, 0.1, 0.25])
+    return ways(net.frames, path)
+
+
+WIDE = [(2, 57), (4, 55), (6, 53), (8, 51), (10, 49)]
+
+
+def test_where_the_gate_is_cut_off_many_far_apart_are_believed(long_way):
+    net = astray(long_way)
+    many = loops_of(net, WIDE, (0.3, 0.1, 0.0), TIGHT)
+    verdict = verdict_of(many, net)
+    assert verdict.sigma.min() > LOOPS.max_shift
+    assert (verdict.witnesses >= 4).all()
+    assert believed(verdict).any()
+    few = loops_of(net, WIDE[:4], (0.3, 0.1, 0.0), TIGHT)
+    assert not believed(verdict_of(few, net)).any()
+    near = [(2, 57), (3, 56), (2, 55), (3, 57), (2, 56), (3, 55)]
+    close_by = verdict_of(loops_of(net, near, (0.3, 0.1, 0.0), TIGHT), net)
+    assert not believed(close_by).any()
+
+
+def test_where_a_filter_has_leapt_the_gate_stays_cut_off(long_way):
+    """It has found itself where it fits, and all it sees from there agrees, be it right or not."""
+    net = astray(long_way)
+    many = loops_of(net, WIDE, (0.3, 0.1, 0.0), TIGHT)
+    leaps = (np.arange(60) >= 30).astype(np.int64)
+    assert not believed(verdict_of(many, net, leaps)).any()
 
 
 AHEAD, BEHIND = [(2, 57), (5, 54), (6, 53), (7, 52), (8, 51)], [(9, 50), (12, 47), (13, 46)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from loop_cases import blank_corridor, comb, drive_of, twins
@@ -9,7 +11,7 @@ from loop_cases import blank_corridor, comb, drive_of, twins
 from hiermap_cli.config import Config
 from hiermap_cli.estimation.noise import NoiseScale
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.loops.chain import BLIND, steps_of
+from hiermap_cli.mapping.loops.chain import steps_of
 from hiermap_cli.mapping.loops.closing import close_loops
 
 WRONG = 0.4  # metres by which a wrong loop is off; the places that look alike are 3 m apart
@@ -98,21 +100,46 @@ def test_a_step_that_the_filter_got_wrong_is_put_right(rooms):
     assert drive.position_errors(result.poses).max() < 0.3
 
 
-def test_a_step_to_a_scan_that_knows_no_wall_is_broken(rooms):
+@pytest.mark.parametrize("shown", [0, 1, 4])
+def test_a_step_to_a_scan_that_knows_no_wall_is_broken(rooms, shown):
     """However well the filter has gone where the odometry led: nothing but that led there."""
     drive = drive_of(rooms)
     k = len(drive.poses) // 2
     s = drive.keyscans.segments
-    for kept in (0, 1):  # walls that the scan knew
-        at = np.flatnonzero(s.scan == k)
-        assert len(at) >= BLIND
+    at = np.flatnonzero(s.scan == k)
+    assert len(at) >= max(shown, 1)
+    sound = steps_of(drive.keyscans, drive.poses, Config(), NoiseScale())
+    for kept in (0, 1):  # walls that the scan knew, of those that it shows
         wall = s.wall.copy()
         wall[at[kept:]] = -1
-        keyscans = drive.keyscans._replace(segments=s._replace(wall=wall))
-        sound = steps_of(drive.keyscans, drive.poses, Config(), NoiseScale())
+        seen = np.ones(len(wall), dtype=bool)
+        seen[at[max(shown, kept) :]] = False
+        segments = type(s)._make(column[seen] for column in s._replace(wall=wall))
+        keyscans = drive.keyscans._replace(segments=segments)
         steps = steps_of(keyscans, drive.poses, Config(), NoiseScale())
         assert np.flatnonzero(steps.broken & ~sound.broken).tolist() == ([] if kept else [k])
         assert (np.trace(steps.covariance[k]) > np.trace(sound.covariance[k])) == (kept == 0)
+
+
+def test_a_turn_told_wrongly_where_one_unknown_wall_is_seen_is_found(rooms):
+    """Only the odometry leads to such a scan, and it lies: loops put it right there."""
+    sound = drive_of(rooms)
+    k = len(sound.truth) // 2
+    drive = drive_of(rooms, faults={k: np.array([0.0, 0.0, 0.25])})
+    s, told = drive.keyscans.segments, drive.keyscans.increments.copy()
+    told[k] = se2.between(drive.poses[k - 1], drive.poses[k])
+    at = np.flatnonzero(s.scan == k)
+    wall, seen = s.wall.copy(), np.ones(len(s.wall), dtype=bool)
+    wall[at], seen[at[1:]] = -1, False
+    segments = type(s)._make(column[seen] for column in s._replace(wall=wall))
+    keyscans = drive.keyscans._replace(
+        increments=told, trusted=np.ones(len(told), dtype=bool), segments=segments
+    )
+    drive = replace(drive, keyscans=keyscans)
+    result = closed(drive)
+    assert not wrong_loops(drive, result)
+    assert drive.position_errors(drive.poses).max() > 1.0
+    assert drive.position_errors(result.poses).max() < 0.3
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def plan_journey(spec: WorldSpec, faults: list[Fault]) -> Journey | None:
     start = np.array([*spec.way_points[0].at, _start_heading(spec)])
     legs = [drive(start, spec.way_points, spec.robot)]
     reached: list[Array] = []
-    todo = list(spec.way_points)
+    ahead = list(spec.way_points)
     before = len(faults)
     for index, lift in sorted(enumerate(spec.lifts), key=lambda item: item[1].at):
         leg = legs[-1]
@@ -75,10 +75,10 @@ def plan_journey(spec: WorldSpec, faults: list[Fault]) -> Journey | None:
             continue
         done = int(np.count_nonzero(leg.arrivals[:, 0] <= lift.at))
         reached.append(np.minimum(leg.arrivals[:done], lift.at))
-        todo = todo[done:]
+        ahead = ahead[done:]
         legs[-1] = _cut(leg, lift.at, 0.5 * lift.pause)
         legs.append(
-            drive(np.array(lift.to), todo, spec.robot, legs[-1].end, stand=0.5 * lift.pause)
+            drive(np.array(lift.to), ahead, spec.robot, legs[-1].end, stand=0.5 * lift.pause)
         )
     for index, bend in enumerate(spec.odometry.bends):
         if bend.after + 1 >= len(spec.way_points):

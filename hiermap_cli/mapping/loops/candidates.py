@@ -41,7 +41,7 @@ class Asked(NamedTuple):
         return now.rows(~same)
 
     def joined(self, anew: Candidates) -> Asked:
-        """With what is asked for now, the last asking counts."""
+        """Both; of a pair asked for twice the later asking counts."""
         key = np.concatenate((_key(anew), self.key))
         _, first = np.unique(key, return_index=True)
         R = np.concatenate((anew.R_i_j, self.R_i_j))

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     Mask = NDArray[np.bool_]
 
 LEAP = 4.0  # sigmas of a fault that an odometry may have
-BLIND = 3  # segments of a scan that must not all be new
 LEAST_UNEVEN = 0.04  # of the factor on the variance of the walls' unevenness
 
 
@@ -37,9 +36,9 @@ class Steps(NamedTuple):
     """The K steps that led to the key scans.
 
     covariance: (K, 3, 3) of the odometry, in the robot's frame after the step. broken: (K,)
-    where the odometry has failed, the filter has not gone where it led, or the scan shows walls
-    and none that the filter knew. leapt: (K,) where the filter has gone so far from there that no
-    fault of the odometry explains it: it has found itself elsewhere, and may be wrong by as much.
+    where the odometry has failed, the filter has not gone where it led, or the scan shows no wall
+    that the filter knew. leapt: (K,) where the filter has gone so far from there that no fault of
+    the odometry explains it: it has found itself elsewhere, and may be wrong by as much.
     """
 
     covariance: Array
@@ -71,10 +70,10 @@ def steps_of(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseScale
 
 
 def _blind(keyscans: KeyScans) -> Mask:
-    """(K,) which key scans show walls, and not one that the filter knew: it went by odometry."""
-    s, K = keyscans.segments, len(keyscans.increments)
-    known = np.bincount(s.scan[s.wall >= 0], minlength=K)
-    return np.asarray((np.bincount(s.scan, minlength=K) >= BLIND) & (known == 0))
+    """(K,) which key scans show no wall that the filter knew: it went where the odometry led."""
+    s = keyscans.segments
+    known = np.bincount(s.scan[s.wall >= 0], minlength=len(keyscans.increments))
+    return np.asarray(known == 0)
 
 
 def step_noise(keyscans: KeyScans, config: Config, noise: NoiseScale) -> Array:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 FIRST, NEXT = 3.0, 2.0  # how much less sure a loop may be than the surest, to be closed with it
-MANY = 4  # witnesses that may be right against the path
+MANY = 4  # witnesses that may be right against the path, or where the gate is cut off
 
 
 class Verdict(NamedTuple):
@@ -75,12 +75,13 @@ class Verdict(NamedTuple):
         return now | (closed & (self.sure | self.borne | self.last | self.against_path))
 
 
-def judge(found: Found, ways: Ways, config: LoopConfig) -> Verdict:
+def judge(found: Found, ways: Ways, leaps: Index, config: LoopConfig) -> Verdict:
     """Judges E loops by the way there and by each other.
 
     Args:
         found: what they say, and their figures.
         ways: how well the fragments know of each other without them.
+        leaps: (F,) leaps of the filter on the path up to each fragment.
         config: thresholds.
     """
     loops, overlap, second = found.edges, found.evidence.overlap, found.second
@@ -117,12 +118,17 @@ def judge(found: Found, ways: Ways, config: LoopConfig) -> Verdict:
     for x in (e[apart], f[apart]):
         np.maximum.at(spread, x, _spread(loops, ways, e[apart], f[apart]))
     sigma = np.sqrt(position_variance(known, loops.R_i_j))
-    # Where the gate is cut off, the true place may lie beyond it.
-    single = (second < config.second) & (sigma < config.max_shift)
+    wide = spread > config.witness_spread
+    # Where the gate is cut off, the true place may lie beyond it, and within it one that looks
+    # alike: a room, but hardly a wide stretch. Where the filter has leapt, all that it has seen
+    # since agrees, be it right or not.
+    whole = (sigma < config.max_shift) | (
+        (witnesses >= MANY) & wide & (leaps[loops.i] == leaps[loops.j])
+    )
+    single = (second < config.second) & whole
     clear = single & (rival < config.second * support)
     borne = (witnesses > 0) & clean & clear
     many = (witnesses >= MANY) & clean & single & (at_once < config.second * support)
-    wide = spread > config.witness_spread
     return Verdict(
         sure=near & clear,
         borne=borne & likely,

@@ -92,6 +92,7 @@ def close_loops(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseSc
     sights = sights_of(fragments, c)
     path = chain(fragments, poses, steps, config, noise)
     broken = broken_between(fragments, steps)
+    leaps = np.asarray(np.cumsum(steps.leapt), dtype=np.int64)[fragments.centre]
     frames = poses[fragments.centre]
     found, asked = nothing_found(), nothing_asked()
     closed, refused = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
@@ -108,7 +109,7 @@ def close_loops(keyscans: KeyScans, poses: Array, config: Config, noise: NoiseSc
         new = np.zeros(len(seen.chi2), dtype=bool)
         before = np.concatenate((closed[kept], new))
         refused = np.concatenate((refused[kept], new))
-        verdict = judge(found, net, c)
+        verdict = judge(found, net, leaps, c)
         believed = verdict.believed(before, refused, c)
         frames, closed = _settled(frames, path, found, believed, c)
         refused |= believed & ~closed
