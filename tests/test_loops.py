@@ -161,6 +161,17 @@ def test_a_new_room_like_an_old_one_is_a_new_one(length, scale):
     assert not wrong_loops(drive, result)
 
 
+@pytest.mark.parametrize("scale", [0.0, 0.02, 0.04])
+def test_a_new_room_farther_off_than_is_searched_is_not_the_old_one(scale):
+    faults = {77: np.array([0.3, -0.13, -0.04]), 79: np.array([-0.13, 0.14, -0.01])}
+    drive = drive_of(twins(3.0, 100.0), 4, scale=scale, faults=faults)
+    assert not wrong_loops(drive, closed(drive))
+    # Where more is searched, the old room is in it, and looks as well as the new one.
+    wide = Config().loops.model_copy(update={"max_shift": 12.0})
+    config = Config().model_copy(update={"loops": wide})
+    assert wrong_loops(drive, close_loops(drive.keyscans, drive.poses, config, NoiseScale()))
+
+
 def test_a_twin_room_is_tempting():
     # Otherwise the test before would show nothing: without the gate on what is likely it is
     # taken for the other.

@@ -85,6 +85,17 @@ def door_frame(area: AreaMap, portal: Portal, *, from_a: bool) -> Array:
     return frame
 
 
+def reached(portals: Sequence[Portal], area: int, kinds: Sequence[PortalKind]) -> set[int]:
+    """The areas that portals of these kinds join to one, over others too; and itself."""
+    joins = [(p.a, p.b) for p in portals if p.kind in kinds]
+    found, grown = {area}, True
+    while grown:
+        more = {there for a, b in joins for here, there in ((a, b), (b, a)) if here in found}
+        grown = not more <= found
+        found |= more
+    return found
+
+
 @dataclass(slots=True)
 class KnownDoors:
     """Watches the doors of one area for the robot's going out by one of them."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hiermap_cli.config import LaserConfig, SegmentationConfig
     from hiermap_cli.perception.beams import Beams
     from hiermap_cli.perception.fitting import Lines
-    from hiermap_cli.perception.merging import Pieces
+    from hiermap_cli.perception.pieces import Pieces
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]

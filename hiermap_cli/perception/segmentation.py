@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from hiermap_cli.logs.records import Mount, ScanBlock
     from hiermap_cli.perception.beams import Beams
     from hiermap_cli.perception.fitting import Fit, Lines, Members
-    from hiermap_cli.perception.merging import Pieces
+    from hiermap_cli.perception.pieces import Pieces
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]

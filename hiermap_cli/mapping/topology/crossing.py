@@ -19,18 +19,19 @@ from hiermap_cli.mapping.portals import (
     add_anchor,
     adrift,
     door_frame,
+    reached,
 )
 from hiermap_cli.mapping.topology.again import door_hidden, door_missed, door_of
 from hiermap_cli.mapping.topology.door_evidence import longest_reach
 from hiermap_cli.mapping.topology.handover import begun_anew, by_anchors, by_walls
 from hiermap_cli.mapping.topology.looks import LookRecord
 from hiermap_cli.mapping.topology.lost import Place, Search
-from hiermap_cli.mapping.topology.passages import Passage, PassageDetector, aligned
+from hiermap_cli.mapping.topology.passages import Passage, PassageDetector, crossed_again
 from hiermap_cli.mapping.topology.places import AT_HOME, NEAR_BY, Places
-from hiermap_cli.mapping.topology.trace import KEPT, Trace
+from hiermap_cli.mapping.topology.trace import Trace
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -111,7 +112,7 @@ class Crossings:
             if door is not None and not self._doors.leads_out(door.frame):
                 self._enter_new(now, "door", door)
                 return self.current
-            self._event(now, "door_refused", area=self._name(), **_figures(passage))
+            self._event(now, "door_refused", area=self._name(), **passage.figures)
         hidden = door_hidden(self._detector, self.trace, self.config.doors)
         if hidden is not None and not self._doors.leads_out(hidden.frame):
             self._enter_new(now, "door", hidden)
@@ -204,7 +205,7 @@ class Crossings:
             "area_entered",
             area=self._name(),
             door=f"D{len(self.portals)}",
-            **_figures(passage),
+            **passage.figures,
         )
 
     def _reenter(self, now: Passing, index: int) -> None:
@@ -221,22 +222,9 @@ class Crossings:
         out, into = (p.anchor_a, p.anchor_b) if out_of_a else (p.anchor_b, p.anchor_a)
         left = self.area
         self.areas[there] = by_anchors(left, out, self.areas[there], into)
-        self.portals[index] = self._seen_again(p, door)
+        self.portals[index] = crossed_again(p, door, self.trace)
         self._go(there, left.V.robot)
         self._event(now, "area_reentered", area=self._name(), door=f"D{index + 1}")
-
-    def _seen_again(self, p: Portal, door: Array) -> Portal:
-        """The portal with the evidence of one crossing more: the mean of all."""
-        n = p.crossings
-        if p.kind == "door":
-            rays = self.trace.rays(self.trace.length - KEPT)
-            _, wall, opened = aligned(door, p.width, *rays)
-            p = replace(
-                p,
-                wall=(n * p.wall + float(wall.sum())) / (n + 1),
-                open=(n * p.open + float(opened.sum())) / (n + 1),
-            )
-        return replace(p, crossings=n + 1)
 
     def _recognise(self, now: Passing) -> Recognised | None:
         """An area known before, if the robot has come back into it unawares."""
@@ -282,17 +270,7 @@ class Crossings:
 
     def _same_as(self, area: int) -> set[int]:
         """Areas that are one place with this one."""
-        return self._reached(area, ("same",))
-
-    def _reached(self, area: int, kinds: Sequence[PortalKind]) -> set[int]:
-        """Areas that portals of these kinds join to this one."""
-        joins = [(p.a, p.b) for p in self.portals if p.kind in kinds]
-        found, grown = {area}, True
-        while grown:
-            more = {there for a, b in joins for here, there in ((a, b), (b, a)) if here in found}
-            grown = not more <= found
-            found |= more
-        return found
+        return reached(self.portals, area, ("same",))
 
     def _link(self, known: Recognised) -> PortalKind:
         """Whether the present area is the same as that which is known again."""
@@ -354,7 +332,7 @@ class Crossings:
             self._detector.forget_before(self.trace.length)
         self._doors.set(area, self.areas, self.portals)
         self._recogniser.set(area, self.areas, self.portals, self.trace.length)
-        joined = self._reached(area, ("door", "open", "same", "size"))
+        joined = reached(self.portals, area, ("door", "open", "same", "size"))
         self._apart = frozenset() if 0 in joined else frozenset(joined)
         self.trace.entered = self.trace.length
         self._began = self._cut = False
@@ -364,8 +342,3 @@ class Crossings:
 
     def _event(self, now: Passing, kind: str, **details: object) -> None:
         self.events.append(Event(now.stamp_ns, kind, details))
-
-
-def _figures(passage: Passage) -> dict[str, object]:
-    wall, opened = passage.wall.tolist(), passage.open.tolist()
-    return {"width": passage.width, "wall": wall, "open": opened}

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,12 +21,13 @@ from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.topology.chords import chord_frame, narrowest_chord
 from hiermap_cli.mapping.topology.door_evidence import WIDER, is_door, longest_reach, reach_of
 from hiermap_cli.mapping.topology.passers import gone_over, went_over
-from hiermap_cli.mapping.topology.trace import NEAR
+from hiermap_cli.mapping.topology.trace import KEPT, NEAR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import DoorConfig
+    from hiermap_cli.mapping.portals import Portal
     from hiermap_cli.mapping.topology.trace import Trace
 
     Array = NDArray[np.float64]
@@ -66,6 +67,11 @@ class Passage(NamedTuple):
     def evidence(self) -> float:
         """Metres of wall beside the jambs less metres that are open."""
         return float(self.wall.sum() - self.open.sum())
+
+    @property
+    def figures(self) -> dict[str, object]:
+        """What an event tells of it."""
+        return {"width": self.width, "wall": self.wall.tolist(), "open": self.open.tolist()}
 
 
 @dataclass(slots=True)
@@ -178,6 +184,19 @@ def passage_between(
         return None
     frame, wall, opened = aligned(frame, width, *trace.rays(travelled - 4.0))
     return Passage(frame, width, travelled, wall, opened)
+
+
+def crossed_again(p: Portal, door: Array, trace: Trace) -> Portal:
+    """A portal with the evidence of one crossing more, the mean of all; its door's frame (3,)."""
+    n = p.crossings
+    if p.kind == "door":
+        _, wall, opened = aligned(door, p.width, *trace.rays(trace.length - KEPT))
+        p = replace(
+            p,
+            wall=(n * p.wall + float(wall.sum())) / (n + 1),
+            open=(n * p.open + float(opened.sum())) / (n + 1),
+        )
+    return replace(p, crossings=n + 1)
 
 
 def _crossed(frame: Array, heading: Array, trace: Trace) -> bool:
