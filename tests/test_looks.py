@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from hiermap_cli.geometry import se2
-from hiermap_cli.mapping.topology.looks import LookRecord, seen_from
+from hiermap_cli.mapping.topology.looks import LookRecord
 from hiermap_cli.mapping.topology.places import Places
+from hiermap_cli.mapping.topology.seen_anew import seen_from
 from hiermap_cli.mapping.topology.trace import Trace
 from hiermap_cli.perception.sight import Sight
 

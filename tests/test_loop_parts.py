@@ -12,6 +12,7 @@ from hiermap_cli.estimation.noise import NoiseScale
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.loops.candidates import candidates, near_pairs, nothing_asked
 from hiermap_cli.mapping.loops.chain import broken_between, carried, chain, step_noise, steps_of
+from hiermap_cli.mapping.loops.correspondences import Candidates, ragged
 from hiermap_cli.mapping.loops.fragments import cut_path, fragments_of
 from hiermap_cli.mapping.loops.graph import (
     Edges,
@@ -23,7 +24,7 @@ from hiermap_cli.mapping.loops.graph import (
     solved,
     ways,
 )
-from hiermap_cli.mapping.loops.matching import Candidates, match, ragged
+from hiermap_cli.mapping.loops.matching import match
 from hiermap_cli.mapping.loops.sight import crossing_share, sights_of
 
 LOOPS = Config().loops

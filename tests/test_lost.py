@@ -18,7 +18,8 @@ from hiermap_cli.mapping.mapper import Mapper
 from hiermap_cli.mapping.odometry.carried import CarryWatch
 from hiermap_cli.mapping.run import map_log
 from hiermap_cli.mapping.topology.lost import constellations, through_walls
-from hiermap_cli.mapping.topology.passages import Passage, PassageDetector
+from hiermap_cli.mapping.topology.passage import Passage
+from hiermap_cli.mapping.topology.passages import PassageDetector
 from hiermap_cli.mapping.topology.whereabouts import settled
 from hiermap_cli.perception.views import SegmentView
 from hiermap_cli.simulation.simulator import simulate

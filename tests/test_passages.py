@@ -12,8 +12,8 @@ from hiermap_cli.mapping.topology.again import door_hidden, door_missed, door_of
 from hiermap_cli.mapping.topology.chords import narrowest_chord
 from hiermap_cli.mapping.topology.door_evidence import demanded, is_door, needed, reach_of
 from hiermap_cli.mapping.topology.near_ends import NearEnds
+from hiermap_cli.mapping.topology.passage import Passage
 from hiermap_cli.mapping.topology.passages import (
-    Passage,
     PassageDetector,
     aligned,
     line_evidence,

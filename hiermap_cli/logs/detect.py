@@ -6,6 +6,7 @@ import hashlib
 from typing import TYPE_CHECKING
 
 from hiermap_cli.errors import InputError
+from hiermap_cli.logs.bag_folder import METADATA, folder_files
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +20,6 @@ _MAGIC_MCAP = b"\x89MCAP0\r\n"
 _MAGIC_DB3 = b"SQLite format 3\0"
 _MAGIC_BAG = b"#ROSBAG V"
 _MAGIC_GZIP = b"\x1f\x8b"
-METADATA = "metadata.yaml"  # of a rosbag2 folder
 _SUFFIXES = {".mcap": MCAP, ".db3": DB3, ".bag": BAG, ".zstd": DB3}
 
 
@@ -89,8 +89,6 @@ def _files(path: Path, losses: list[str]) -> list[Path]:
         if path.name == METADATA and path.is_file():
             path = path.parent
         if path.is_dir():
-            from hiermap_cli.logs.rosbag2 import folder_files
-
             files, faults = folder_files(path)
             losses += faults
             return files

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.loops.correspondences import Candidates, ragged
 from hiermap_cli.mapping.loops.graph import position_variance
-from hiermap_cli.mapping.loops.matching import Candidates, ragged
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

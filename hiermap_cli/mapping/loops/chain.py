@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.loops.correspondences import Candidates, correspondences
 from hiermap_cli.mapping.loops.evidence import evidence
 from hiermap_cli.mapping.loops.graph import Edges, moved
-from hiermap_cli.mapping.loops.matching import Candidates, correspondences
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hiermap_cli.geometry import se2
+from hiermap_cli.mapping.loops.correspondences import ragged
 from hiermap_cli.mapping.loops.graph import Edges, discrepancy, moved, position_variance
-from hiermap_cli.mapping.loops.matching import ragged
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

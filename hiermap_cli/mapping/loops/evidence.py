@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import LoopConfig
+    from hiermap_cli.mapping.loops.correspondences import Correspondences
     from hiermap_cli.mapping.loops.fragments import Walls
-    from hiermap_cli.mapping.loops.matching import Correspondences
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]

@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import LoopConfig
+    from hiermap_cli.mapping.loops.correspondences import Candidates
     from hiermap_cli.mapping.loops.fragments import Fragments
-    from hiermap_cli.mapping.loops.matching import Candidates, Matches
+    from hiermap_cli.mapping.loops.matching import Matches
 
     Array = NDArray[np.float64]
     Index = NDArray[np.int64]

@@ -35,7 +35,7 @@ from hiermap_cli.mapping.refinement.problem import (
 from hiermap_cli.mapping.refinement.rebuild import area_map, sightings
 from hiermap_cli.mapping.refinement.smoothing import smooth
 from hiermap_cli.mapping.refinement.track import whole_trajectory
-from hiermap_cli.mapping.topology.looks import seen_from
+from hiermap_cli.mapping.topology.seen_anew import seen_from
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

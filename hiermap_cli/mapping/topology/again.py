@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from hiermap_cli.config import DoorConfig
-    from hiermap_cli.mapping.topology.passages import Passage, PassageDetector
+    from hiermap_cli.mapping.topology.passage import Passage
+    from hiermap_cli.mapping.topology.passages import PassageDetector
     from hiermap_cli.mapping.topology.trace import Trace
 
     Array = NDArray[np.float64]

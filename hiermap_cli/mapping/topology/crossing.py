@@ -26,7 +26,8 @@ from hiermap_cli.mapping.topology.door_evidence import longest_reach
 from hiermap_cli.mapping.topology.handover import begun_anew, by_anchors, by_walls
 from hiermap_cli.mapping.topology.looks import LookRecord
 from hiermap_cli.mapping.topology.lost import Place, Search
-from hiermap_cli.mapping.topology.passages import Passage, PassageDetector, crossed_again
+from hiermap_cli.mapping.topology.passage import Passage
+from hiermap_cli.mapping.topology.passages import PassageDetector, crossed_again
 from hiermap_cli.mapping.topology.places import AT_HOME, NEAR_BY, Places
 from hiermap_cli.mapping.topology.trace import Trace
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hiermap_cli.config import DoorConfig
-    from hiermap_cli.mapping.topology.passages import Passage
+    from hiermap_cli.mapping.topology.passage import Passage
 
 LEAF = 0.9  # metres: no leaf is longer
 PAST = 0.1  # metres of path behind an open leaf on which it widens

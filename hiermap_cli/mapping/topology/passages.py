@@ -13,13 +13,14 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hiermap_cli.geometry import se2
 from hiermap_cli.mapping.topology.chords import chord_frame, narrowest_chord
 from hiermap_cli.mapping.topology.door_evidence import WIDER, is_door, longest_reach, reach_of
+from hiermap_cli.mapping.topology.passage import Passage
 from hiermap_cli.mapping.topology.passers import gone_over, went_over
 from hiermap_cli.mapping.topology.trace import KEPT, NEAR
 
@@ -46,32 +47,6 @@ BEYOND = 0.3  # metres behind the line that a beam must reach to have passed it
 ASIDE = 0.35  # metres beside the jambs that a path through them may seem to be
 STRAIGHT = 0.5  # sine of the angle between the line and a path that crosses it
 STAND_OFF = 0.25  # metres off the line from which it is judged
-
-
-class Passage(NamedTuple):
-    """A narrow place that the robot has passed.
-
-    frame: (3,) origin midway between the jambs, X along the line between them, Y in the
-    direction of crossing. width: metres between the jambs. travelled: metres of path at which it
-    was passed. wall, open: (2,) metres of the line beside each jamb (left of the crossing is the
-    negative X, first) that are wall, and that beams have passed.
-    """
-
-    frame: Array
-    width: float
-    travelled: float
-    wall: Array
-    open: Array
-
-    @property
-    def evidence(self) -> float:
-        """Metres of wall beside the jambs less metres that are open."""
-        return float(self.wall.sum() - self.open.sum())
-
-    @property
-    def figures(self) -> dict[str, object]:
-        """What an event tells of it."""
-        return {"width": self.width, "wall": self.wall.tolist(), "open": self.open.tolist()}
 
 
 @dataclass(slots=True)
