@@ -128,7 +128,7 @@ def row(log: str, way: str) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="the real logs made poorer")
-    parser.add_argument("logs", nargs="*", default=["fr079", "csail"])
+    parser.add_argument("logs", nargs="*", default=["fr079", "fr079_unsigned", "csail", "aces"])
     parser.add_argument("--ways", default=",".join(WAYS), help=", ".join(WAYS))
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
